@@ -1,0 +1,243 @@
+r"""The linear-quadratic regulator about upright, its margins, and the sign of a law."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import control
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq
+
+from dpend.controller import Act, Controller, check_controller, is_batched
+from dpend.linear import discretize, linearize
+from dpend.params import Array
+from dpend.rig import Rig
+from dpend.state import NAMES, nearest_upright
+
+
+class Margins(NamedTuple):
+    r"""How far a sampled loop, cut at the plant's input, is from instability.
+
+    Attributes
+    ----------
+    gain_low, gain_high : float
+        Factors between which the gain may change.  The plant is unstable, so too little gain fails like too much.
+    phase : float
+        Change of phase, either way, that the loop survives, rad.
+    disk : float
+        :math:`\alpha = \min_\omega |\tfrac12(S - T)|^{-1}`: gain and phase may change together within the balanced
+        disk of that size.
+    delay, delay_samples : float
+        Pure delay between controller and plant that brings the loop to the edge of stability, in s and in samples.
+    """
+
+    gain_low: float
+    gain_high: float
+    phase: float
+    disk: float
+    delay: float
+    delay_samples: float
+
+
+class LQR:
+    r"""Law :math:`u = -Kx`, minimising :math:`\sum_k x_k^\top Q x_k + R u_k^2` on the plant linearised about upright.
+
+    The design is discrete: the plant is sampled with its force held, so the gain is right for the sample time.  Angles
+    are taken to the nearest whole turn, so every upright is upright.
+
+    Parameters
+    ----------
+    rig : Rig
+        What the designer believes: plant and sample time.  Limits, actuator and sensors do not enter.
+    Q : array_like, optional
+        State weights, a diagonal ``(6,)`` or a matrix ``(6, 6)``, positive semidefinite; left out, the identity.
+    R : float
+        Weight of the force, greater than zero.
+    design : {"discrete", "continuous"}
+        ``"continuous"`` minimises :math:`\int x^\top Q x + R u^2\,dt` for a force that may change at any time.  Held
+        over a sample such a gain can be too high: on the light presets the loop is unstable, and a warning says so.
+
+    Attributes
+    ----------
+    K : ndarray (1, 6)
+        Gain.
+    P : ndarray (6, 6)
+        Solution of the Riccati equation: :math:`x_0^\top P x_0` is the cost from :math:`x_0`.
+    poles : ndarray (6,)
+        Eigenvalues of the sampled closed loop; inside the unit circle where it is stable.
+
+    Raises
+    ------
+    ValueError
+        If the rig describes several plants, a weight has the wrong shape or sign, or there is no stabilising gain.
+
+    Notes
+    -----
+    Source: B. Anderson and J. Moore, *Optimal Control: Linear Quadratic Methods*, 1990.
+    """
+
+    name = "LQR"
+
+    def __init__(
+        self,
+        rig: Rig,
+        Q: npt.ArrayLike | None = None,
+        R: float = 1.0,
+        *,
+        design: Literal["discrete", "continuous"] = "discrete",
+    ) -> None:
+        if rig.n is not None:
+            raise ValueError(f"LQR is designed for one plant; got a rig of {rig.n} rows.")
+        self.rig = rig
+        self.Q = _weight(Q)
+        if not (np.ndim(R) == 0 and math.isfinite(R) and R > 0):
+            raise ValueError(f"R, the weight of the force, must be a finite number greater than 0; got {R!r}.")
+        self.R = float(R)
+        A, B = self._plant = linearize(rig.params)
+        self._Ad, self._Bd = discretize(A, B, rig.sample_time)
+        try:
+            if design == "discrete":
+                K, P, _ = control.dlqr(self._Ad, self._Bd, self.Q, self.R)
+            elif design == "continuous":
+                K, P, _ = control.lqr(A, B, self.Q, self.R)
+            else:
+                raise ValueError(f'design must be "discrete" or "continuous"; got {design!r}.')
+        except np.linalg.LinAlgError as error:
+            raise ValueError(
+                f"There is no stabilising solution of the Riccati equation for these weights ({error}); "
+                "let Q weigh every state that is to come to rest."
+            ) from error
+        self.K: Array = np.asarray(K, dtype=np.float64).reshape(1, 6)
+        self.P: Array = np.asarray(P, dtype=np.float64)
+        self.poles = np.linalg.eigvals(self._Ad - self._Bd @ self.K)
+        radius = float(np.abs(self.poles).max())
+        if design == "continuous" and radius >= 1:
+            warnings.warn(
+                f"This continuous-time gain, held over {rig.sample_time:g} s, gives an unstable loop "
+                f'(spectral radius {radius:.3f}); use design="discrete".',
+                stacklevel=2,
+            )
+        for array in (self.Q, self.K, self.P, self.poles):
+            array.setflags(write=False)
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Give the law for ``n`` runs."""
+        gain = self.K[0]
+        return lambda t, y: -(nearest_upright(y) @ gain)
+
+    def margins(self) -> Margins:
+        """Give the margins of the sampled loop :math:`L(z) = K(zI - A_d)^{-1}B_d`.
+
+        Raises
+        ------
+        ValueError
+            If the loop is unstable, and so has no margins.
+        """
+        radius = float(np.abs(self.poles).max())
+        if radius >= 1:
+            raise ValueError(f"The sampled loop is unstable (spectral radius {radius:.3f}): it has no margins.")
+        T = self.rig.sample_time
+        loop = control.ss(self._Ad, self._Bd, self.K, 0, T)
+        omega = np.geomspace(1e-3 * np.pi / T, np.pi / T * (1 - 1e-9), 4000)
+        delay = T * _first_exit(self._radius_with_delay, np.linspace(0, 100, 2001))
+        return Margins(
+            gain_low=_first_exit(self._radius_with_gain, np.geomspace(1, 1e-4, 400)),
+            gain_high=_first_exit(self._radius_with_gain, np.geomspace(1, 1e4, 400)),
+            phase=_first_exit(lambda phase: self._radius_with_gain(np.exp(-1j * phase)), np.linspace(0, np.pi, 400)),
+            disk=float(control.disk_margins(loop, omega)[0]),
+            delay=delay,
+            delay_samples=delay / T,
+        )
+
+    def _radius_with_gain(self, gain: complex) -> float:
+        """Spectral radius of the sampled loop with its gain multiplied by a real or complex number."""
+        return _radius(self._Ad - gain * (self._Bd @ self.K))
+
+    def _radius_with_delay(self, samples: float) -> float:
+        """Spectral radius of the sampled loop with that delay: the states, and the commands under way."""
+        T = self.rig.sample_time
+        queue = math.ceil(samples)  # commands of the last so many samples are still of interest
+        late = (samples - queue + 1) * T if queue else 0.0  # the older of two acts for so long in a sample
+        _, newer = discretize(*self._plant, T - late) if late < T else (0, np.zeros((6, 1)))
+        whole, _ = discretize(*self._plant, T)
+        loop = np.zeros((6 + queue, 6 + queue))
+        loop[:6, :6] = whole
+        if queue == 0:
+            return _radius(whole - newer @ self.K)
+        loop[:6, 6:7] = self._Bd - newer  # the oldest command in the queue
+        if queue == 1:
+            loop[:6, :6] -= newer @ self.K
+        else:
+            loop[:6, 7:8] = newer
+        loop[6:-1, 7:] = np.eye(queue - 1)
+        loop[-1, :6] = -self.K[0]
+        return _radius(loop)
+
+
+def _radius(A: npt.NDArray[Any]) -> float:
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+def _first_exit(radius: Callable[[float], float], path: Array) -> float:
+    """Give where, along a path that begins stable, the spectral radius first reaches one; the path's end if never."""
+    for inside, outside in itertools.pairwise(path):
+        if radius(outside) >= 1:
+            edge: Any = brentq(lambda point: radius(point) - 1, inside, outside, xtol=1e-12)
+            return float(edge)
+    return float(path[-1])
+
+
+def _weight(Q: npt.ArrayLike | None) -> Array:
+    weight = np.eye(6) if Q is None else np.array(Q, dtype=np.float64)
+    if weight.shape == (6,):
+        weight = np.diag(weight)
+    if weight.shape != (6, 6):
+        raise ValueError(
+            f"Q weighs the six states ({', '.join(NAMES)}): expected a diagonal (6,) or a matrix (6, 6); "
+            f"got shape {weight.shape}."
+        )
+    if not np.isfinite(weight).all() or not np.allclose(weight, weight.T):
+        raise ValueError("Q must be finite and symmetric.")
+    least = float(np.linalg.eigvalsh(weight).min())
+    if least < -1e-9 * np.abs(weight).max(initial=1.0):
+        raise ValueError(f"Q must be positive semidefinite; its least eigenvalue is {least:g}.")
+    return weight
+
+
+class BangBang:
+    r"""The sign of another law, :math:`u = F\,\mathrm{sgn}(u_\text{inner})`.
+
+    Parameters
+    ----------
+    inner : Controller
+        The law whose sign is taken; any state feedback.
+    force : float
+        :math:`F`, N, greater than zero and finite.
+
+    Raises
+    ------
+    TypeError
+        If ``inner`` is no controller.
+    ValueError
+        If the force is not greater than zero or not finite.
+    """
+
+    def __init__(self, inner: Controller, force: float) -> None:
+        check_controller(inner)
+        if not (math.isfinite(force) and force > 0):
+            raise ValueError(f"force must be finite and greater than 0 N; got {force!r}.")
+        self.inner = inner
+        self.force = float(force)
+        self.batched = is_batched(inner)
+        self.name = f"sign of {getattr(inner, 'name', type(inner).__name__)}"
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Give the law for ``n`` runs."""
+        act = self.inner.start(n, rng)
+        force = self.force
+        return lambda t, y: force * np.sign(act(t, y))

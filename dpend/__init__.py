@@ -1,0 +1,54 @@
+"""dpend: the inverted double pendulum on a cart, for classical control and reinforcement learning side by side.
+
+The state is ``x = (pos, th1, th2, vel, om1, om2)`` in metres, radians and seconds; angles are absolute, zero is up, and
+positive leans towards positive positions.  Importing ``dpend`` registers ``dpend/Balance-v0`` and ``dpend/SwingUp-v0``
+with Gymnasium and loads nothing heavier than numpy and Gymnasium.
+"""
+
+import gymnasium
+
+from .controller import Act, Controller
+from .linear import discretize, linearize
+from .params import Params
+from .plant import energies, positions, rates, reference
+from .rig import Rig, rig, rigs
+from .run import Run, Runs
+from .simulate import simulate, simulate_many
+from .state import EQUILIBRIA, NAMES, nearest_upright, wrap
+from .stepper import Stepper
+from .tasks import Balance, Status, SwingUp, Task
+
+__all__ = [
+    "EQUILIBRIA",
+    "NAMES",
+    "Act",
+    "Balance",
+    "Controller",
+    "Params",
+    "Rig",
+    "Run",
+    "Runs",
+    "Status",
+    "Stepper",
+    "SwingUp",
+    "Task",
+    "discretize",
+    "energies",
+    "linearize",
+    "nearest_upright",
+    "positions",
+    "rates",
+    "reference",
+    "rig",
+    "rigs",
+    "simulate",
+    "simulate_many",
+    "wrap",
+]
+
+gymnasium.register(
+    "dpend/Balance-v0", entry_point="dpend.env:balance", vector_entry_point="dpend.vector_env:balance_vector"
+)
+gymnasium.register(
+    "dpend/SwingUp-v0", entry_point="dpend.env:swing_up", vector_entry_point="dpend.vector_env:swing_up_vector"
+)

@@ -1,0 +1,92 @@
+"""The plant made linear about a point, and sampled with its force held."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from .params import Array, Params
+from .plant import rates
+
+_STEP = 1e-30  # a complex step has no cancellation, so it may be as small as one likes
+
+
+def linearize(params: Params, x: npt.ArrayLike | None = None, u: float = 0.0) -> tuple[Array, Array]:
+    r"""Give :math:`A = \partial\dot x/\partial x` and :math:`B = \partial\dot x/\partial u`, exact to rounding.
+
+    Each column is the imaginary part of the rates at a point moved by an imaginary step, divided by that step.
+
+    Parameters
+    ----------
+    params : Params
+        The plant; one, not a batch.
+    x : array_like, optional
+        State ``(6,)`` about which to linearize; left out, upright at rest.
+    u : float
+        Force on the cart there, N.
+
+    Returns
+    -------
+    A : ndarray (6, 6)
+    B : ndarray (6, 1)
+
+    Raises
+    ------
+    ValueError
+        If ``params`` describes several plants, or ``x`` is not one state.
+
+    Notes
+    -----
+    Source: W. Squire and G. Trapp, *Using complex variables to estimate derivatives of real functions*, 1998.
+    """
+    if params.n is not None:
+        raise ValueError(f"linearize takes one plant; got Params with arrays of {params.n} rows.")
+    point = np.zeros(6) if x is None else np.asarray(x, dtype=np.float64)
+    if point.shape != (6,):
+        raise ValueError(f"linearize takes one state of shape (6,); got shape {point.shape}.")
+    moved = point + 1j * _STEP * np.vstack([np.eye(6), np.zeros(6)])
+    forces = u + 1j * _STEP * np.array([0, 0, 0, 0, 0, 0, 1])
+    columns = np.imag(rates(moved, forces, params)) / _STEP
+    return columns[:6].T.copy(), columns[6:].T.copy()
+
+
+def discretize(A: npt.ArrayLike, B: npt.ArrayLike, sample_time: float) -> tuple[Array, Array]:
+    r"""Give :math:`A_d = e^{AT}` and :math:`B_d = \int_0^T e^{As}\,ds\,B`: the plant sampled, with its force held.
+
+    Both are blocks of one matrix exponential, so nothing is truncated.
+
+    Parameters
+    ----------
+    A : array_like (n, n)
+    B : array_like (n, m)
+    sample_time : float
+        :math:`T`, s, greater than zero.
+
+    Returns
+    -------
+    Ad : ndarray (n, n)
+    Bd : ndarray (n, m)
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit, or the sample time is not greater than zero.
+
+    Notes
+    -----
+    Source: C. Van Loan, *Computing integrals involving the matrix exponential*, 1978.
+    """
+    from scipy.linalg import expm  # kept out of `import dpend`
+
+    A = np.asarray(A, dtype=np.float64)
+    B = np.asarray(B, dtype=np.float64)
+    if A.ndim != 2 or A.shape[0] != A.shape[1] or B.ndim != 2 or len(B) != len(A):
+        raise ValueError(f"Expected A of shape (n, n) and B of shape (n, m); got {A.shape} and {B.shape}.")
+    if not sample_time > 0:
+        raise ValueError(f"sample_time must be greater than 0 s; got {sample_time!r}.")
+    n, m = B.shape
+    held = np.zeros((n + m, n + m))
+    held[:n, :n] = A
+    held[:n, n:] = B
+    exponential: Array = np.asarray(expm(held * sample_time), dtype=np.float64)
+    return exponential[:n, :n], exponential[:n, n:]

@@ -1,0 +1,352 @@
+"""A rig: the plant as it stands in a laboratory, with clock, limits, actuator and sensors; and the presets."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .params import Number, Params, checked_number, common_length
+
+Count = int | npt.NDArray[np.int64]
+
+_INF = float("inf")
+
+
+def _checked_limit(name: str, value: object, unit: str) -> Number:
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if array.ndim > 1 or not (array > 0).all():
+        raise ValueError(
+            f"{name} must be greater than zero, in {unit} (inf for none), or an array (N,) of such; got {value!r}."
+        )
+    if array.ndim == 0:
+        return float(array)
+    array.setflags(write=False)
+    return array
+
+
+def _checked_samples(name: str, value: object) -> Count:
+    array = np.array(value)
+    whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and bool(np.all(array == np.rint(array))))
+    if array.dtype.kind == "b" or array.ndim > 1 or not whole or np.any(array < 0):
+        raise ValueError(
+            f"{name} must be a whole number of samples, at least 0, or an array (N,) of such; got {value!r}. "
+            "A delay of d seconds is round(d / sample_time) samples."
+        )
+    if array.ndim == 0:
+        return int(array)
+    samples = array.astype(np.int64)
+    samples.setflags(write=False)
+    return samples
+
+
+def _checked_per_state(name: str, value: object) -> Number:
+    """Check a number for all six states, or an array (6,), (N, 1) or (N, 6)."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    shape_good = array.ndim == 0 or array.shape == (6,) or (array.ndim == 2 and array.shape[1] in (1, 6))
+    if not shape_good or not (np.isfinite(array) & (array >= 0)).all():
+        raise ValueError(
+            f"{name} must be finite and at least 0: one number, one per state (6,), or (N, 1) or (N, 6) "
+            f"with one row per run; got {value!r}."
+        )
+    if array.ndim == 0:
+        return float(array)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rig:
+    r"""A plant with its sample time, force and track limits, actuator and sensors.
+
+    Within one sample, in this order: the state is sampled, rounded to the encoders' resolution, given noise and
+    delayed; the controller acts; its command is delayed, limited, lagged and given noise; the plant moves under the
+    force held.  Fields may be arrays ``(N,)``, one rig per row of a batch, but for the clock.
+
+    Parameters
+    ----------
+    params : Params
+        The plant.
+    sample_time : float
+        Control period :math:`T`, s.
+    substeps : int
+        Runge-Kutta steps in one sample.
+    force_limit : float
+        Largest force the actuator gives, N; ``inf`` for none.
+    track_limit : float
+        Largest distance of the cart from the middle of the track, m; ``inf`` for none.
+    actuator_lag : float
+        Time constant :math:`\tau` of the actuator, s: each sample the force moves by the share
+        :math:`1 - e^{-T/\tau}` towards the command.
+    actuator_delay, sensor_delay : int
+        Whole samples by which commands and measurements are late.
+    force_noise : float
+        Standard deviation of the force's noise, N, drawn each sample.
+    sensor_noise : float or (6,) or (N, 6)
+        Standard deviation of the noise of each measured state, in its unit.
+    resolution : float or (6,) or (N, 6)
+        Step to which each measured state is rounded, in its unit; zero for none.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a field is of the wrong kind or out of range; the message names field, bound and value.
+    """
+
+    params: Params
+    sample_time: float
+    substeps: int = 2
+    force_limit: Number = _INF
+    track_limit: Number = _INF
+    actuator_lag: Number = 0.0
+    actuator_delay: Count = 0
+    force_noise: Number = 0.0
+    sensor_delay: Count = 0
+    sensor_noise: Number = 0.0
+    resolution: Number = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.params, Params):
+            raise TypeError(f"params must be dpend.Params; got {type(self.params).__name__}.")
+        sample_time = checked_number("sample_time", self.sample_time, "s", 0.0, False)
+        if not isinstance(sample_time, float):
+            raise TypeError("sample_time must be a single number: all rows of a batch share one clock.")
+        substeps = self.substeps
+        if isinstance(substeps, bool) or not isinstance(substeps, int | np.integer) or substeps < 1:
+            raise ValueError(
+                f"The sample time must be a whole multiple of the substep: expected substeps to be an integer, "
+                f"at least 1; got {substeps!r} for a sample time of {sample_time:g} s."
+            )
+        checked = {
+            "sample_time": sample_time,
+            "substeps": int(substeps),
+            "force_limit": _checked_limit("force_limit", self.force_limit, "N"),
+            "track_limit": _checked_limit("track_limit", self.track_limit, "m"),
+            "actuator_lag": checked_number("actuator_lag", self.actuator_lag, "s", 0.0, True),
+            "actuator_delay": _checked_samples("actuator_delay", self.actuator_delay),
+            "force_noise": checked_number("force_noise", self.force_noise, "N", 0.0, True),
+            "sensor_delay": _checked_samples("sensor_delay", self.sensor_delay),
+            "sensor_noise": _checked_per_state("sensor_noise", self.sensor_noise),
+            "resolution": _checked_per_state("resolution", self.resolution),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        self.n  # noqa: B018  (raises where array lengths differ)
+
+    @property
+    def n(self) -> int | None:
+        """Number of rigs the fields describe, or None where they are single values."""
+        own = {name: value for name, value in self._own().items() if _is_per_row(name, value)}
+        return common_length("Rig and Params", own | self.params.to_dict())
+
+    @property
+    def ideal(self) -> bool:
+        """Whether actuator and sensors are perfect: no lag, delay, noise or rounding."""
+        imperfections = (
+            self.actuator_lag,
+            self.actuator_delay,
+            self.force_noise,
+            self.sensor_delay,
+            self.sensor_noise,
+            self.resolution,
+        )
+        return not any(np.any(value) for value in imperfections)
+
+    def replace(self, **changes: Any) -> Rig:
+        """Give a rig with some fields of its own or of its ``params`` changed.
+
+        Raises
+        ------
+        TypeError
+            If neither ``Rig`` nor ``Params`` has a field of that name; the message suggests the nearest.
+        """
+        own = {field.name for field in fields(Rig)}
+        plant = {field.name for field in fields(Params)}
+        for name in changes:
+            if name not in own | plant:
+                raise TypeError(f"Neither Rig nor Params has a field {name!r}.{suggestion(name, own | plant)}")
+        params = changes.pop("params", self.params)
+        plant_changes = {name: changes.pop(name) for name in tuple(changes) if name in plant}
+        if plant_changes:
+            params = replace(params, **plant_changes)
+        return replace(self, params=params, **changes)
+
+    def rows(self, rows: slice | int) -> Rig:
+        """Give the rig of some rows of a batch, or of one: array fields are cut, single values stay."""
+        if self.n is None:
+            return self
+        own = {name: value[rows] if _is_per_row(name, value) else value for name, value in self._own().items()}
+        plant = {name: v[rows] if _is_per_row(name, v) else v for name, v in self.params.to_dict().items()}
+        return Rig(params=Params(**plant), **own)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the fields by name, ``params`` as a dict of its own."""
+        return {"params": self.params.to_dict()} | self._own()
+
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> Rig:
+        """Build a rig from what :meth:`to_dict` gave; lists stand for arrays."""
+        record = dict(record)
+        return cls(params=Params(**record.pop("params")), **record)
+
+    def _own(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "params"}
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Rig):
+            return NotImplemented
+        mine, theirs = self._own(), other._own()
+        return self.params == other.params and all(np.array_equal(mine[name], theirs[name]) for name in mine)
+
+    __hash__ = None  # type: ignore[assignment]  # a field may be an array
+
+
+def _is_per_row(name: str, value: Any) -> bool:
+    """Whether a field holds one entry per row, rather than one for all (a single number, or one per state)."""
+    return isinstance(value, np.ndarray) and value.ndim == (2 if name in ("sensor_noise", "resolution") else 1)
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Give " Did you mean 'x'?" for the nearest known word, or the list of all where none is near."""
+    words = sorted(known)
+    near = difflib.get_close_matches(word, words, n=1)
+    return f" Did you mean {near[0]!r}?" if near else f" Known: {', '.join(words)}."
+
+
+def _gustafsson2016() -> Rig:
+    """Two 1 m rods on a 1 kg cart, 40 N, 2.4 m: the plant of the student report, rod inertias as intended.
+
+    Source: the code published with the report, GitHub fregu856/CS-229, with I = m L^2/12.
+    """
+    params = Params(cart_mass=1.0, mass1=0.5, mass2=0.5, length1=1.0, length2=1.0)
+    return Rig(params=params, sample_time=0.02, force_limit=40.0, track_limit=2.4)
+
+
+def _gustafsson2016_as_coded() -> Rig:
+    """Two 1 m rods on a 1 kg cart with the inertias that the report's program really used, 0.125 kg m^2.
+
+    Source: GitHub fregu856/CS-229, which writes L^2 for the square; in Python that is a bitwise operation.
+    """
+    return _gustafsson2016().replace(inertia1=0.125, inertia2=0.125)
+
+
+def _bogdanov2004() -> Rig:
+    """Links of 0.5 m and 0.75 m on a 1.5 kg cart, no limits: the plant on which LQR, SDRE and others were compared.
+
+    Source: A. Bogdanov, CSE-04-006, 2004.  His weights: Q = diag(5, 50, 50, 20, 700, 700), R = 1.
+    """
+    params = Params(cart_mass=1.5, mass1=0.5, mass2=0.75, length1=0.5, length2=0.75)
+    return Rig(params=params, sample_time=0.02)
+
+
+def _pilco2011() -> Rig:
+    """Two 0.6 m rods on a 0.5 kg cart, 20 N, slow sampling, noisy sensors: PILCO's cart double pendulum.
+
+    Source: M. Deisenroth and C. Rasmussen, ICML 2011; scenario cartDoublePendulum of GitHub UCL-SML/pilco-matlab.
+    """
+    params = Params(cart_mass=0.5, mass1=0.5, mass2=0.5, length1=0.6, length2=0.6, cart_friction=0.1)
+    return Rig(params=params, sample_time=0.05, substeps=5, force_limit=20.0, sensor_noise=0.01)
+
+
+def _dompc_dip() -> Rig:
+    """Two light 0.5 m rods on a 0.6 kg cart, 4 N: the double inverted pendulum of the do-mpc examples.
+
+    Source: documentation of do-mpc, example "Double inverted pendulum".
+    """
+    params = Params(cart_mass=0.6, mass1=0.2, mass2=0.2, length1=0.5, length2=0.5, gravity=9.80665)
+    return Rig(params=params, sample_time=0.04, substeps=4, force_limit=4.0)
+
+
+def _capsule(length: float, radius: float, *, density: float = 1.0) -> tuple[float, float]:
+    """Mass, and moment of inertia about an axis across its middle, of a cylinder with two half balls as ends."""
+    cylinder = density * np.pi * radius**2 * length
+    balls = density * 4 / 3 * np.pi * radius**3
+    inertia = cylinder * (length**2 / 12 + radius**2 / 4) + balls * (
+        2 / 5 * radius**2 + length**2 / 4 + 3 / 8 * length * radius
+    )
+    return cylinder + balls, inertia
+
+
+def _gymnasium_idp() -> Rig:
+    """Heavy 0.6 m capsules on a 10.5 kg cart, 500 N, 1 m: Gymnasium's InvertedDoublePendulum.
+
+    Source: inverted_double_pendulum.xml of Gymnasium; masses and inertias from its shapes at 1000 kg/m^3.
+    """
+    cart_mass, _ = _capsule(0.2, 0.1, density=1000.0)
+    mass, inertia = _capsule(0.6, 0.045, density=1000.0)
+    params = Params(
+        cart_mass=cart_mass,
+        mass1=mass,
+        mass2=mass,
+        length1=0.6,
+        length2=0.6,
+        inertia1=inertia,
+        inertia2=inertia,
+        cart_friction=0.05,
+        joint1_friction=0.05,
+        joint2_friction=0.05,
+    )
+    return Rig(params=params, sample_time=0.05, substeps=5, force_limit=500.0, track_limit=1.0)
+
+
+def _dm_control_two_poles() -> Rig:
+    """Two light 1 m capsules on a 1 kg cart, 10 N, 1.8 m: the two_poles cart-pole of the DeepMind Control Suite.
+
+    Source: cartpole.xml of GitHub google-deepmind/dm_control; inertias from its shapes.
+    """
+    unit_mass, unit_inertia = _capsule(1.0, 0.045)
+    params = Params(
+        cart_mass=1.0,
+        mass1=0.1,
+        mass2=0.1,
+        length1=1.0,
+        length2=1.0,
+        inertia1=0.1 * unit_inertia / unit_mass,
+        inertia2=0.1 * unit_inertia / unit_mass,
+        cart_friction=5e-4,
+        joint1_friction=2e-6,
+        joint2_friction=2e-6,
+    )
+    return Rig(params=params, sample_time=0.01, substeps=1, force_limit=10.0, track_limit=1.8)
+
+
+PRESETS: MappingProxyType[str, Callable[[], Rig]] = MappingProxyType(
+    {
+        "gustafsson2016": _gustafsson2016,
+        "gustafsson2016_as_coded": _gustafsson2016_as_coded,
+        "bogdanov2004": _bogdanov2004,
+        "pilco2011": _pilco2011,
+        "dompc_dip": _dompc_dip,
+        "gymnasium_idp": _gymnasium_idp,
+        "dm_control_two_poles": _dm_control_two_poles,
+    }
+)
+
+
+def rig(name: str) -> Rig:
+    """Give the preset rig of that name.
+
+    Raises
+    ------
+    ValueError
+        If there is none; the message suggests the nearest.
+    """
+    if name not in PRESETS:
+        raise ValueError(f"There is no preset rig {name!r}.{suggestion(name, PRESETS)}")
+    return PRESETS[name]()
+
+
+def rigs() -> dict[str, str]:
+    """List the preset rigs: what each one is, and its source, by name."""
+    return {name: " ".join((build.__doc__ or "").split()) for name, build in PRESETS.items()}

@@ -1,0 +1,282 @@
+"""Records of runs: what happened, how it ended, what it is worth; saved as plain arrays."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .metrics import force_metrics
+from .params import Array
+from .rig import Rig
+from .tasks import Status
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_FORMAT = "dpend run 1"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One run, cut at its end; ``T`` samples.
+
+    Attributes
+    ----------
+    t : ndarray (T + 1,)
+        Times of the samples, s.
+    x, y : ndarray (T + 1, 6)
+        True and measured states.
+    u : ndarray (T,)
+        Forces applied over each sample, N.
+    step_time : ndarray (T,)
+        Seconds that the controller took for each.
+    status : Status
+        How the run ended.
+    success : bool
+        Whether it did what its task asks.
+    time_up : float
+        When both links were up for good, s; NaN where they never were, or the task does not ask.
+    rig : Rig
+        The true rig.
+    controller, task : str
+        What ran, in words.
+    seed, row : int
+        What its disturbances were drawn from.
+    """
+
+    t: Array
+    x: Array
+    y: Array
+    u: Array
+    step_time: Array
+    status: Status
+    success: bool
+    time_up: float
+    rig: Rig
+    controller: str
+    task: str
+    seed: int
+    row: int = 0
+
+    def metrics(self) -> dict[str, float]:
+        """Give the run's figures of merit; their units are in ``dpend.metrics.UNITS``."""
+        of_force = force_metrics(self.u[None], self.rig.sample_time, self.rig.force_limit)
+        return {
+            "success": float(self.success),
+            "time_up": self.time_up,
+            "travel": float(np.abs(self.x[:, 0]).max()),
+        } | {name: float(value[0]) for name, value in of_force.items()}
+
+    def plot(self) -> Figure:
+        """Draw position, angles, rates and force against time.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+        """
+        from .draw import plot_run
+
+        return plot_run(self)
+
+    def animate(self, path: str | Path, *, fps: int = 25, speed: float = 1.0) -> Path:
+        """Write an animation: a GIF, or an MP4 where ffmpeg is there.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where to; the suffix, ``.gif`` or ``.mp4``, chooses the format.
+        fps : int
+            Pictures per second.
+        speed : float
+            Seconds of the run in a second of film.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        ValueError
+            If the suffix is another, or a number is not greater than zero.
+        RuntimeError
+            If an MP4 is asked for and there is no ffmpeg.
+        """
+        from .draw import animate_run
+
+        return animate_run(self, Path(path), fps=fps, speed=speed)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the run as a compressed ``.npz`` of plain arrays; nothing in it can run code.
+
+        Returns
+        -------
+        Path
+            The file; ``.npz`` is added where the name has no suffix.
+        """
+        path = Path(path)
+        if not path.suffix:
+            path = path.with_suffix(".npz")
+        about = {
+            "format": _FORMAT,
+            "status": self.status.name,
+            "success": self.success,
+            "time_up": self.time_up,
+            "rig": self.rig.to_dict(),
+            "controller": self.controller,
+            "task": self.task,
+            "seed": self.seed,
+            "row": self.row,
+        }
+        with path.open("wb") as file:
+            np.savez_compressed(
+                file,
+                t=self.t,
+                x=self.x,
+                y=self.y,
+                u=self.u,
+                step_time=self.step_time,
+                about=np.array(json.dumps(about, default=np.ndarray.tolist)),
+            )
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> Run:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If the file is not a saved run.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                about = json.loads(str(file["about"]))
+                if about.pop("format") != _FORMAT:
+                    raise ValueError("another format")
+                arrays = {name: file[name] for name in ("t", "x", "y", "u", "step_time")}
+            about["status"] = Status[about["status"]]
+            about["rig"] = Rig.from_dict(about["rig"])
+            return cls(**arrays, **about)
+        except FileNotFoundError:
+            raise
+        except Exception as error:
+            raise ValueError(f"{path} is not a run saved by Run.save ({error}).") from error
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Runs:
+    """``N`` runs side by side; what a run did not live to see is NaN.
+
+    Attributes
+    ----------
+    t : ndarray (T + 1,)
+        Times of the samples, s.
+    u : ndarray (N, T)
+        Forces applied over each sample, N.
+    steps : ndarray (N,)
+        Samples that each run lasted.
+    codes : ndarray (N,)
+        How each ended, as ``Status.code``; ``status`` gives the members themselves.
+    success : ndarray (N,)
+        Whether each did what its task asks.
+    final : ndarray (N, 6)
+        The true state at each end.
+    travel : ndarray (N,)
+        Greatest distance of the cart from the middle, m.
+    time_up : ndarray (N,)
+        When both links were up for good, s; NaN where they never were, or the task does not ask.
+    step_time : ndarray (N, T)
+        Seconds that the controller took for each; a batched law's time is shared equally.
+    x, y : ndarray (N, T + 1, 6), optional
+        True and measured states, where they were recorded.
+    rig : Rig
+        The true rig or rigs.
+    controller, task : str
+        What ran, in words.
+    seed, first_row : int
+        What the disturbances were drawn from.
+    """
+
+    t: Array
+    u: Array
+    steps: npt.NDArray[np.int64]
+    codes: npt.NDArray[np.uint8]
+    success: npt.NDArray[np.bool_]
+    final: Array
+    travel: Array
+    time_up: Array
+    step_time: Array
+    rig: Rig
+    controller: str
+    task: str
+    seed: int
+    first_row: int = 0
+    x: Array | None = None
+    y: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    @property
+    def status(self) -> list[Status]:
+        """How each run ended."""
+        members = list(Status)
+        return [members[code] for code in self.codes]
+
+    def metrics(self) -> dict[str, Array]:
+        """Give every run's figures of merit, each ``(N,)``; their units are in ``dpend.metrics.UNITS``."""
+        return {
+            "success": self.success.astype(np.float64),
+            "time_up": self.time_up,
+            "travel": self.travel,
+        } | force_metrics(self.u, self.rig.sample_time, self.rig.force_limit)
+
+    def __getitem__(self, row: int) -> Run:
+        """Give one recorded run, cut at its end.
+
+        Raises
+        ------
+        IndexError
+            If there is no such row.
+        ValueError
+            If the states were not recorded.
+        """
+        if self.x is None or self.y is None:
+            raise ValueError("These runs hold no states; simulate them with record=True.")
+        row = range(len(self))[row]
+        steps = int(self.steps[row])
+        return Run(
+            t=self.t[: steps + 1],
+            x=self.x[row, : steps + 1],
+            y=self.y[row, : steps + 1],
+            u=self.u[row, :steps],
+            step_time=self.step_time[row, :steps],
+            status=self.status[row],
+            success=bool(self.success[row]),
+            time_up=float(self.time_up[row]),
+            rig=self.rig.rows(row),
+            controller=self.controller,
+            task=self.task,
+            seed=self.seed,
+            row=self.first_row + row,
+        )
+
+    @classmethod
+    def join(cls, parts: list[Runs], rig: Rig) -> Runs:
+        """Put parts of a batch together, in their order."""
+        stacked: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("u", "steps", "codes", "success", "final", "travel", "time_up", "step_time")
+        }
+        for name in ("x", "y"):
+            if getattr(parts[0], name) is not None:
+                stacked[name] = np.concatenate([getattr(part, name) for part in parts])
+        return replace(parts[0], rig=rig, **stacked)

@@ -1,0 +1,260 @@
+"""Closed-loop simulation: loops over the stepper."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from time import perf_counter
+
+import numpy as np
+import numpy.typing as npt
+
+from .controller import Controller, check_controller, is_batched
+from .params import Array
+from .rig import Rig
+from .run import Run, Runs
+from .state import as_states
+from .stepper import CONTROLLER_STREAM, Stepper, row_sequence
+from .tasks import Balance, Task, Unending
+
+Push = Callable[[float], npt.ArrayLike]
+"""Generalised forces on cart (N), link 1 and link 2 (N m), ``(3,)`` or ``(N, 3)``, as a function of time in s."""
+
+_BALANCE = Balance()
+
+BLOCK = 4096
+"""Rows stepped together: enough to spread Python's share, few enough to stay in the cache."""
+
+
+def simulate(
+    rig: Rig,
+    controller: Controller,
+    x0: npt.ArrayLike,
+    duration: float | None = None,
+    *,
+    task: Task | None = _BALANCE,
+    push: Push | None = None,
+    seed: int = 0,
+) -> Run:
+    """Run a controller on a rig from one state.
+
+    Parameters
+    ----------
+    rig : Rig
+        The true rig; what the controller believes is its own affair.
+    controller : Controller
+        The law.
+    x0 : array_like (6,)
+        The initial state.
+    duration : float, optional
+        Seconds, a whole number of samples; left out, the task's full length.
+    task : Task, optional
+        What ends the run and what counts as success; None ends it only at the track's end.
+    push : callable, optional
+        Generalised forces that act beside the actuator's, as a function of time, held over each sample.
+    seed : int
+        What the disturbances are drawn from.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    TypeError, ValueError
+        Before anything runs, if an argument is wrong.
+    """
+    if np.shape(x0) != (6,):
+        raise ValueError(f"x0 must be one state of shape (6,); got shape {np.shape(x0)}.")
+    return simulate_many(rig, controller, as_states(x0), duration, task=task, push=push, seed=seed, record=True)[0]
+
+
+def simulate_many(
+    rig: Rig,
+    controller: Controller,
+    x0: npt.ArrayLike,
+    duration: float | None = None,
+    *,
+    task: Task | None = _BALANCE,
+    push: Push | None = None,
+    seed: int = 0,
+    first_row: int = 0,
+    record: bool = False,
+    workers: int = 1,
+) -> Runs:
+    """Run a controller on a rig, or on one rig a row, from many states.
+
+    Parameters
+    ----------
+    rig : Rig
+        The true rig or rigs.
+    controller : Controller
+        The law.
+    x0 : array_like (N, 6)
+        The initial states.
+    duration : float, optional
+        Seconds, a whole number of samples; left out, the task's full length.
+    task : Task, optional
+        What ends a run and what counts as success; None ends it only at the track's end.
+    push : callable, optional
+        Generalised forces that act beside the actuator's, as a function of time, held over each sample.
+    seed : int
+        What the disturbances are drawn from: row ``i`` from ``(seed, first_row + i)``.
+    first_row : int
+        Number of the first row, where a batch is cut into parts.
+    record : bool
+        Keep true and measured states, ``2 * 48`` bytes a row and sample; forces are always kept.
+    workers : int
+        Processes that share the rows of a controller which treats one run at a time.
+
+    Returns
+    -------
+    Runs
+
+    Raises
+    ------
+    TypeError, ValueError
+        Before anything runs, if an argument is wrong.
+    """
+    check_controller(controller)
+    states = as_states(x0)
+    if not len(states):
+        raise ValueError("x0 has no rows; expected at least one initial state.")
+    if rig.n not in (None, len(states)):
+        raise ValueError(f"The rig describes {rig.n} rows, x0 has {len(states)}; expected the same number.")
+    if workers < 1:
+        raise ValueError(f"workers must be at least 1; got {workers}.")
+    the_task: Task = Unending() if task is None else task
+    samples = _samples(rig, the_task, duration)
+    rows = BLOCK if is_batched(controller) else 1
+    blocks = [slice(start, min(start + rows, len(states))) for start in range(0, len(states), rows)]
+    simulate_block = partial(_simulate_block, rig, controller, states, samples, the_task, push, seed, first_row, record)
+    if workers > 1 and not is_batched(controller) and len(blocks) > 1:
+        with ProcessPoolExecutor(min(workers, len(blocks)), mp_context=get_context("spawn")) as pool:
+            parts = list(pool.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))))
+    else:
+        parts = [simulate_block(block) for block in blocks]
+    return parts[0] if len(parts) == 1 else Runs.join(parts, rig)
+
+
+def _samples(rig: Rig, task: Task, duration: float | None) -> int:
+    """Give the number of samples in a run.
+
+    Raises
+    ------
+    ValueError
+        If the duration is missing where the task has none, or is no whole number of samples.
+    """
+    if duration is None:
+        if task.steps is None:
+            raise ValueError("Without a task a run has no natural end: give a duration in s.")
+        return task.steps
+    samples = round(duration / rig.sample_time) if np.isfinite(duration) else 0
+    if samples < 1 or abs(samples * rig.sample_time - duration) > 1e-9 * duration:
+        near = max(samples, 1) * rig.sample_time
+        raise ValueError(
+            f"duration must be a whole number of samples of {rig.sample_time:g} s, at least one; "
+            f"got {duration!r} s. The nearest is {near:g} s."
+        )
+    return samples
+
+
+def _simulate_block(
+    rig: Rig,
+    controller: Controller,
+    states: Array,
+    samples: int,
+    task: Task,
+    push: Push | None,
+    seed: int,
+    first_row: int,
+    record: bool,
+    block: slice,
+) -> Runs:
+    """Simulate some rows of a batch.
+
+    A row that has ended is parked upright at rest without force, where it disturbs nobody, until all have ended.
+    """
+    rig = rig.rows(block)
+    x0 = states[block]
+    n = len(x0)
+    first = first_row + block.start
+    stepper = Stepper(rig, n, seed, first)
+    act = controller.start(n, np.random.default_rng(row_sequence(seed, first, CONTROLLER_STREAM)))
+    y = stepper.reset(x0)
+
+    t = rig.sample_time * np.arange(samples + 1, dtype=np.float64)
+    forces = np.full((samples, n), np.nan)
+    seconds = np.full(samples, np.nan)
+    true = np.full((samples + 1, n, 6), np.nan) if record else None
+    measured = np.full((samples + 1, n, 6), np.nan) if record else None
+    codes = task.ended(x0, rig)
+    steps = np.where(codes != 0, 0, samples)
+    final = x0.copy()
+    travel = np.abs(x0[:, 0])
+    alive = codes == 0
+    upright_since = np.zeros(n, dtype=np.int64)
+    watch_upright = task.hold > 0
+    if watch_upright:
+        upright_since[~task.upright(x0)] = samples + 1
+    if true is not None and measured is not None:
+        true[0], measured[0] = x0, y
+    if not alive.all():
+        y[~alive] = stepper.reset(np.zeros(6), ~alive)
+
+    for k in range(samples):
+        if not alive.any():
+            break
+        began = perf_counter()
+        u = act(float(t[k]), y)
+        seconds[k] = perf_counter() - began
+        if not alive.all():
+            u = np.where(alive, u, 0.0)
+        pushed = None if push is None else np.broadcast_to(push(float(t[k])), (len(states), 3))[block]
+        y = stepper.step(u, pushed)
+        x = stepper.x
+        forces[k] = stepper.force
+        np.fmax(travel, np.abs(x[:, 0]), out=travel)
+        if true is not None and measured is not None:
+            true[k + 1], measured[k + 1] = x, y
+        if watch_upright:
+            up = task.upright(x)
+            np.minimum(upright_since, k + 1, out=upright_since, where=up)
+            upright_since[~up] = samples + 1
+        ended = task.ended(x, rig)
+        ending = alive & (ended != 0)
+        if ending.any():
+            codes[ending] = ended[ending]
+            steps[ending] = k + 1
+            final[ending] = x[ending]
+            alive &= ~ending
+            y[ending] = stepper.reset(np.zeros(6), ending)
+    after_end = np.arange(samples)[:, None] >= steps
+    forces[after_end] = np.nan
+    if true is not None and measured is not None:
+        true[1:][after_end] = np.nan
+        measured[1:][after_end] = np.nan
+    final[alive] = stepper.x[alive]
+    held = (samples - upright_since) * rig.sample_time
+    upright_long_enough = (upright_since <= samples) & (held >= task.hold - 1e-9) if watch_upright else alive
+    success = alive & upright_long_enough
+    return Runs(
+        t=t,
+        u=forces.T,
+        steps=steps,
+        codes=codes,
+        success=success,
+        final=final,
+        travel=travel,
+        time_up=np.where(success & watch_upright, upright_since * rig.sample_time, np.nan),
+        step_time=np.broadcast_to(seconds / n, (n, samples)),
+        rig=rig,
+        controller=getattr(controller, "name", type(controller).__name__),
+        task=repr(task),
+        seed=seed,
+        first_row=first,
+        x=None if true is None else true.transpose(1, 0, 2),
+        y=None if measured is None else measured.transpose(1, 0, 2),
+    )

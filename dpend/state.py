@@ -1,0 +1,103 @@
+"""The state: order, names, units, the four equilibria, and angles brought back to one turn."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+import numpy as np
+import numpy.typing as npt
+
+from .params import Array
+
+NAMES = ("pos", "th1", "th2", "vel", "om1", "om2")
+UNITS = ("m", "rad", "rad", "m/s", "rad/s", "rad/s")
+SYMBOLS = ("p", "θ1", "θ2", "v", "ω1", "ω2")
+
+_TURN = 2 * np.pi
+
+
+def _at_rest(th1: float, th2: float) -> Array:
+    x = np.array([0.0, th1, th2, 0.0, 0.0, 0.0])
+    x.setflags(write=False)
+    return x
+
+
+EQUILIBRIA = MappingProxyType(
+    {
+        "up-up": _at_rest(0.0, 0.0),
+        "up-down": _at_rest(0.0, np.pi),
+        "down-up": _at_rest(np.pi, 0.0),
+        "down-down": _at_rest(np.pi, np.pi),
+    }
+)
+"""The four equilibria by name, link 1 first: states ``(6,)`` with the cart in the middle."""
+
+
+def wrap(angle: npt.ArrayLike) -> Array:
+    r"""Give :math:`\theta - 2\pi\,\mathrm{round}(\theta/2\pi)`, the difference to the nearest whole turn.
+
+    Parameters
+    ----------
+    angle : array_like
+        Angles of any shape, rad.
+
+    Returns
+    -------
+    ndarray
+        The same shape, within :math:`[-\pi, \pi]`.
+    """
+    angle = np.asarray(angle, dtype=np.float64)
+    return angle - _TURN * np.rint(angle / _TURN)
+
+
+def nearest_upright(x: npt.ArrayLike) -> Array:
+    """Give the states with both angles taken to the nearest whole turn, so that upright is zero.
+
+    Parameters
+    ----------
+    x : array_like
+        States ``(..., 6)``.
+
+    Returns
+    -------
+    ndarray
+        New states ``(..., 6)``, angles within one half turn of upright.
+    """
+    x = np.array(x, dtype=np.float64)
+    x[..., 1:3] -= _TURN * np.rint(x[..., 1:3] / _TURN)
+    return x
+
+
+def as_states(x: npt.ArrayLike, n: int | None = None) -> Array:
+    """Give ``x`` as a new float64 array of states ``(n, 6)``; a single state stands for one row.
+
+    Parameters
+    ----------
+    x : array_like
+        States ``(n, 6)`` or one state ``(6,)``.
+    n : int, optional
+        How many rows there must be; one state is then repeated.
+
+    Returns
+    -------
+    ndarray
+        States ``(n, 6)``, C-contiguous, owned by the caller.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another, or a number is not finite.
+    """
+    array = np.array(x, dtype=np.float64)
+    if array.ndim == 1 and array.shape == (6,):
+        array = np.repeat(array[None], 1 if n is None else n, axis=0)
+    if array.ndim != 2 or array.shape[1] != 6 or (n is not None and len(array) != n):
+        rows = "N" if n is None else n
+        raise ValueError(
+            f"A state has six numbers ({', '.join(NAMES)}): expected an array of shape ({rows}, 6) or (6,); "
+            f"got shape {array.shape}."
+        )
+    if not np.isfinite(array).all():
+        row, column = np.argwhere(~np.isfinite(array))[0]
+        raise ValueError(f"States must be finite; got {array[row, column]} for {NAMES[column]} in row {row}.")
+    return np.ascontiguousarray(array)

@@ -1,0 +1,216 @@
+"""The sampled loop around the plant: sensors, actuator, limits, disturbances, one sample at a time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .params import Array
+from .rig import Rig
+from .state import as_states
+
+Rows = npt.NDArray[Any] | slice
+
+_ALL = slice(None)
+
+
+def row_sequence(seed: int, row: int, stream: int) -> np.random.SeedSequence:
+    """Give the seed of one stream of one row: the same whatever the batch, its order or the controller."""
+    return np.random.SeedSequence(seed, spawn_key=(row, stream))
+
+
+# What each stream of a row is for.
+SENSOR_STREAM, FORCE_STREAM, CONTROLLER_STREAM = range(3)
+
+
+class _RowNoise:
+    """Standard normal numbers ``(n, width)``, one independent stream a row, drawn ahead in chunks."""
+
+    CHUNK = 64
+
+    def __init__(self, seed: int, rows: range, stream: int, width: int) -> None:
+        self._generators = [np.random.default_rng(row_sequence(seed, row, stream)) for row in rows]
+        self._ahead = np.empty((len(rows), self.CHUNK, width))
+        self._used = np.full(len(rows), self.CHUNK)
+
+    def draw(self, rows: Rows = _ALL) -> Array:
+        chosen = np.arange(len(self._used))[rows]
+        for row in chosen[self._used[chosen] == self.CHUNK]:
+            self._generators[row].standard_normal(out=self._ahead[row])
+            self._used[row] = 0
+        numbers = self._ahead[chosen, self._used[chosen]]
+        self._used[chosen] += 1
+        return numbers
+
+
+class _DelayLine:
+    """Values ``(n, width)`` that come out a whole number of samples after they went in."""
+
+    def __init__(self, delay: int | npt.NDArray[np.int64], n: int, width: int) -> None:
+        self._delay = np.broadcast_to(delay, n)
+        self._rows = np.arange(n)
+        self._slots = np.zeros((int(np.max(delay)) + 1, n, width))
+        self._now = 0
+
+    def fill(self, value: npt.ArrayLike, rows: Rows = _ALL) -> None:
+        self._slots[:, rows] = value
+
+    def pass_on(self, value: Array) -> Array:
+        self._now = (self._now + 1) % len(self._slots)
+        self._slots[self._now] = value
+        return self._slots[(self._now - self._delay) % len(self._slots), self._rows]
+
+
+class Stepper:
+    r"""``n`` copies of a rig, moved one sample at a time: the only place where the plant advances.
+
+    One sample is, in this order: the state is sampled, rounded, given noise and delayed (:meth:`reset` and
+    :meth:`step` return it); the caller acts; :meth:`step` delays the command, limits it, lags it, adds noise, and moves
+    the plant under the force held.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig, with fields for ``n`` rows or shared by all.
+    n : int
+        Number of rows.
+    seed : int
+        Row ``i`` draws from ``SeedSequence(seed, spawn_key=(first_row + i, stream))``, whatever else runs beside it.
+    first_row : int
+        Number of the first row, where a batch is cut into parts.
+
+    Attributes
+    ----------
+    x : ndarray (n, 6)
+        The true states; overwritten by each step.
+    force : ndarray (n,)
+        The forces last applied, N.
+
+    Raises
+    ------
+    ValueError
+        If the rig describes another number of rows.
+    """
+
+    def __init__(self, rig: Rig, n: int, seed: int = 0, first_row: int = 0) -> None:
+        from .kernels import plant_step  # numba loads with the first stepper, not with `import dpend`
+
+        if rig.n not in (None, n):
+            raise ValueError(f"The rig describes {rig.n} rows; expected {n}, or single values shared by all rows.")
+        self.rig = rig
+        self.n = n
+        self.x = np.zeros((n, 6))
+        self.force = np.zeros(n)
+        self._plant_step = plant_step
+        self._substep = rig.sample_time / rig.substeps
+        columns = np.broadcast_arrays(*(np.atleast_1d(field) for field in rig.params.coefficients()))
+        self._coefficients = np.ascontiguousarray(np.stack(columns, axis=-1), dtype=np.float64)
+        self._generalised = np.zeros((n, 3))
+
+        rows = range(first_row, first_row + n)
+        self._limited = bool(np.any(np.isfinite(rig.force_limit)))
+        self._lagged = bool(np.any(rig.actuator_lag))
+        with np.errstate(divide="ignore"):
+            self._share = -np.expm1(-rig.sample_time / np.asarray(rig.actuator_lag)) if self._lagged else 1.0
+        self._drive = np.zeros(n)
+        self._commands = _DelayLine(rig.actuator_delay, n, 1) if np.any(rig.actuator_delay) else None
+        self._force_noise = _RowNoise(seed, rows, FORCE_STREAM, 1) if np.any(rig.force_noise) else None
+        self._readings = _DelayLine(rig.sensor_delay, n, 6) if np.any(rig.sensor_delay) else None
+        self._sensor_noise = _RowNoise(seed, rows, SENSOR_STREAM, 6) if np.any(rig.sensor_noise) else None
+        self._sensor_std = np.broadcast_to(rig.sensor_noise, (n, 6))
+        self._resolution = np.broadcast_to(rig.resolution, (n, 6)) if np.any(rig.resolution) else None
+
+    def reset(self, x0: npt.ArrayLike, rows: Rows | None = None) -> Array:
+        """Put all rows, or some, at new states with actuator and sensors at rest.
+
+        Parameters
+        ----------
+        x0 : array_like
+            States ``(n, 6)``, or ``(len(rows), 6)``, or one state for all.
+        rows : ndarray or slice, optional
+            Which rows, as indices or a mask; left out, all.
+
+        Returns
+        -------
+        ndarray
+            Measurements of the rows that were reset, ``(n, 6)`` or ``(len(rows), 6)``.
+
+        Raises
+        ------
+        ValueError
+            If the states are not of that shape or not finite.
+        """
+        chosen = _ALL if rows is None else rows
+        self.x[chosen] = as_states(x0, len(self.x[chosen]))
+        self.force[chosen] = 0.0
+        self._drive[chosen] = 0.0
+        if self._commands is not None:
+            self._commands.fill(0.0, chosen)
+        reading = self._read(chosen)
+        if self._readings is not None:
+            self._readings.fill(reading, chosen)
+        return reading
+
+    def step(self, u: npt.ArrayLike, push: npt.ArrayLike | None = None) -> Array:
+        """Move every row by one sample.
+
+        Parameters
+        ----------
+        u : array_like (n,)
+            Commanded forces, N.
+        push : array_like, optional
+            Generalised forces on cart (N), link 1 and link 2 (N m) that act beside the actuator's, ``(3,)`` or
+            ``(n, 3)``.
+
+        Returns
+        -------
+        ndarray (n, 6)
+            Measurements at the end of the sample.
+
+        Raises
+        ------
+        ValueError
+            If the forces are not of that shape.
+        """
+        rig = self.rig
+        command = np.array(u, dtype=np.float64)
+        if command.shape != (self.n,):
+            raise ValueError(
+                f"Expected one force per row, shape ({self.n},); got shape {command.shape}. "
+                "A law written as y @ K.T gives a column: take [:, 0]."
+            )
+        if self._commands is not None:
+            command = self._commands.pass_on(command[:, None])[:, 0]
+        if self._limited:
+            np.maximum(command, -rig.force_limit, out=command)
+            np.minimum(command, rig.force_limit, out=command)
+        if self._lagged:
+            command = self._drive + self._share * (command - self._drive)
+            self._drive = command
+        if self._force_noise is not None:
+            command = command + rig.force_noise * self._force_noise.draw()[:, 0]
+        self.force = command
+        if push is None:
+            self._generalised[:, 0] = command
+        else:
+            self._generalised[:] = push
+            self._generalised[:, 0] += command
+        self._plant_step(self.x, self._generalised, self._coefficients, self._substep, rig.substeps)
+        if push is not None:
+            self._generalised[:, 1:] = 0.0
+        reading = self._read(_ALL)
+        return reading if self._readings is None else self._readings.pass_on(reading)
+
+    def _read(self, rows: Rows) -> Array:
+        """Sample the true states of some rows, round them and add noise; always a new array."""
+        y = self.x[rows].copy()
+        if self._resolution is not None:
+            step = self._resolution[rows]
+            np.divide(y, step, out=y, where=step > 0)
+            np.rint(y, out=y, where=step > 0)
+            np.multiply(y, step, out=y, where=step > 0)
+        if self._sensor_noise is not None:
+            y += self._sensor_std[rows] * self._sensor_noise.draw(rows)
+        return y

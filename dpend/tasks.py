@@ -1,0 +1,302 @@
+"""Tasks: where an episode starts, what it costs, when it fails, when it has succeeded."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from .params import Array
+from .rig import Rig
+from .state import EQUILIBRIA, wrap
+
+Codes = npt.NDArray[np.uint8]
+
+
+class Status(Enum):
+    """How a run ended; the value is the message.  Its place in the list is the code kept in arrays."""
+
+    FULL_LENGTH = "The run reached its full length."
+    TRACK_END = "The cart reached the end of the track."
+    LINK1_FELL = "Link 1 fell below the horizontal."
+    LINK2_FELL = "Link 2 fell below the horizontal."
+    NOT_FINITE = "The state is no longer a finite number."
+
+    @property
+    def code(self) -> int:
+        """The number that stands for this status in arrays; zero where nothing ended the run early."""
+        return list(Status).index(self)
+
+
+class Task(Protocol):
+    """What the simulation and the environments ask of a task."""
+
+    @property
+    def steps(self) -> int | None:
+        """Greatest number of samples in an episode, or None for no limit."""
+        ...
+
+    @property
+    def hold(self) -> float:
+        """Seconds that both links must have been upright at the end of a successful run."""
+        ...
+
+    def starts(self, rng: np.random.Generator, n: int, rig: Rig) -> Array:
+        """Draw ``n`` initial states ``(n, 6)``."""
+        ...
+
+    def ended(self, x: Array, rig: Rig) -> Codes:
+        """Give the status codes ``(n,)`` of states ``(n, 6)``; zero where the episode goes on."""
+        ...
+
+    def upright(self, x: Array) -> npt.NDArray[np.bool_]:
+        """Tell which states ``(n, 6)`` have both links up."""
+        ...
+
+    def cost(self, x: Array, codes: Codes) -> Array:
+        """Give the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
+        ...
+
+
+def _ended(x: Array, track_limit: float | Array, limit1: float, limit2: float) -> Codes:
+    """Give status codes for bounds on position and angles; NaN is outside every bound."""
+    a = np.abs(x[:, :3])
+    on_track = a[:, 0] <= track_limit
+    up1 = a[:, 1] <= limit1
+    up2 = a[:, 2] <= limit2
+    codes = np.zeros(len(x), dtype=np.uint8)
+    if not (on_track & up1 & up2).all():
+        codes[~up2] = Status.LINK2_FELL.code
+        codes[~up1] = Status.LINK1_FELL.code
+        codes[~on_track] = Status.TRACK_END.code
+        codes[~np.isfinite(x).all(axis=1)] = Status.NOT_FINITE.code
+    return codes
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportCost:
+    r"""The report's two costs: :math:`w \cdot (|p|, |n(\theta_1)|, |n(\theta_2)|)` for a state, and one for failing.
+
+    :math:`n` is the difference to the nearest whole turn.  The report prints neither weight; the defaults follow the
+    code published with it, which weighs the angles by 10 and has no cost for failing.
+
+    Parameters
+    ----------
+    state_weights : tuple of three floats
+        Weights of position (per m) and of both angles (per rad), at least zero.
+    failure_cost : float
+        Cost of an episode that fails, at least zero.
+
+    Raises
+    ------
+    ValueError
+        If there are not three weights, or a number is negative or not finite.
+    """
+
+    state_weights: tuple[float, float, float] = (0.0, 10.0, 10.0)
+    failure_cost: float = 0.0
+
+    def __post_init__(self) -> None:
+        weights = tuple(float(weight) for weight in self.state_weights)
+        if len(weights) != 3 or not all(math.isfinite(weight) and weight >= 0 for weight in weights):
+            raise ValueError(
+                f"state_weights must be three finite numbers, at least 0, for |pos|, |th1| and |th2|; "
+                f"got {self.state_weights!r}."
+            )
+        if not (math.isfinite(self.failure_cost) and self.failure_cost >= 0):
+            raise ValueError(f"failure_cost must be finite and at least 0; got {self.failure_cost!r}.")
+        object.__setattr__(self, "state_weights", weights)
+
+    def cost(self, x: Array, codes: Codes) -> Array:
+        """Give the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
+        on_pos, on_th1, on_th2 = self.state_weights
+        cost = on_th1 * np.abs(wrap(x[:, 1])) + on_th2 * np.abs(wrap(x[:, 2]))
+        if on_pos:
+            cost += on_pos * np.abs(x[:, 0])
+        if self.failure_cost:
+            cost += self.failure_cost * (codes != 0)
+        return cost
+
+
+def _checked_steps(steps: object) -> None:
+    if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+        raise ValueError(f"steps must be a whole number of samples, at least 1; got {steps!r}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Balance(ReportCost):
+    r"""Keep both links up, from :math:`\theta_1, \theta_2 \sim U[-\lambda, \lambda]` with all else zero.
+
+    An episode fails at the end of the track or when a link falls, :math:`|\theta_i| > \pi/2`, and succeeds if it lasts.
+
+    Parameters
+    ----------
+    lam : float
+        :math:`\lambda`, rad, above zero and at most :math:`\pi/2`.
+    steps : int
+        Samples in a full episode; the report's 300.
+    criterion : {"strict", "report"}
+        ``"report"`` looks at link 1 alone, as the report does; a controller that lets link 2 swing round then counts
+        as balancing.
+    state_weights, failure_cost
+        See :class:`ReportCost`.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its range.
+    """
+
+    lam: float = 0.1
+    steps: int = 300
+    criterion: str = "strict"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_lam(self.lam)
+        _checked_steps(self.steps)
+        if self.criterion not in ("strict", "report"):
+            raise ValueError(f'criterion must be "strict" or "report"; got {self.criterion!r}.')
+
+    @property
+    def hold(self) -> float:
+        """Balancing succeeds by lasting; no time upright is asked for beside it."""
+        return 0.0
+
+    def starts(self, rng: np.random.Generator, n: int, rig: Rig) -> Array:
+        """Draw ``n`` initial states; one generator gives the same directions for every lambda."""
+        x = np.zeros((n, 6))
+        x[:, 1:3] = self.lam * rng.uniform(-1.0, 1.0, (n, 2))
+        return x
+
+    def ended(self, x: Array, rig: Rig) -> Codes:
+        """Give status codes: the track's end, a fallen link, or zero."""
+        return _ended(x, rig.track_limit, np.pi / 2, np.pi / 2 if self.criterion == "strict" else np.inf)
+
+    def upright(self, x: Array) -> npt.NDArray[np.bool_]:
+        """Tell which states have not fallen, which is all that balancing asks."""
+        return np.ones(len(x), dtype=np.bool_)
+
+
+def check_lam(lam: float) -> None:
+    r"""Refuse a spread that is no spread, or that starts beyond the horizontal.
+
+    Raises
+    ------
+    ValueError
+        Unless :math:`0 < \\lambda \\le \\pi/2`.
+    """
+    if not 0 < lam <= math.pi / 2:
+        raise ValueError(
+            f"lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; got {lam!r}."
+        )
+
+
+_STARTS = ("hanging", "side", "anywhere")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingUp(ReportCost):
+    r"""Bring both links up from below and keep them there.
+
+    An episode fails at the end of the track only, and succeeds if both links were upright without a break for its
+    last ``hold`` seconds.
+
+    Parameters
+    ----------
+    start : {"hanging", "side", "anywhere"}
+        Both links down; both level to the positive side, :math:`(\pi/2, \pi/2)`, as in the report; or anything:
+        angles :math:`U[-\pi, \pi]`, the cart within half the track (1 m where it has no end), rates
+        :math:`\mathcal N(0, 1)` in m/s and rad/s.
+    spread : float
+        Each angle of "hanging" and "side" is moved by :math:`U[-s, s]`, rad.
+    steps : int
+        Samples in a full episode; the report's 1000.
+    hold : float
+        Time upright that makes a success, s.
+    upright_angle : float
+        A link counts as up within this angle of the vertical, rad.
+    state_weights, failure_cost
+        See :class:`ReportCost`.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its range.
+    """
+
+    start: str = "hanging"
+    spread: float = 0.0
+    steps: int = 1000
+    hold: float = 1.0
+    upright_angle: float = 0.2
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _checked_steps(self.steps)
+        if self.start not in _STARTS:
+            raise ValueError(f"start must be one of {', '.join(map(repr, _STARTS))}; got {self.start!r}.")
+        if not 0 <= self.spread <= math.pi:
+            raise ValueError(f"spread must be within 0 and pi rad; got {self.spread!r}.")
+        if not (math.isfinite(self.hold) and self.hold >= 0):
+            raise ValueError(f"hold must be finite and at least 0 s; got {self.hold!r}.")
+        if not 0 < self.upright_angle < math.pi:
+            raise ValueError(f"upright_angle must be between 0 and pi rad; got {self.upright_angle!r}.")
+
+    def starts(self, rng: np.random.Generator, n: int, rig: Rig) -> Array:
+        """Draw ``n`` initial states."""
+        if self.start == "anywhere":
+            x = rng.normal(size=(n, 6))
+            reach = np.where(np.isfinite(rig.track_limit), 0.5 * np.asarray(rig.track_limit), 1.0)
+            x[:, 0] = reach * rng.uniform(-1.0, 1.0, n)
+            x[:, 1:3] = rng.uniform(-np.pi, np.pi, (n, 2))
+            return x
+        x = np.tile(EQUILIBRIA["down-down"], (n, 1))
+        if self.start == "side":
+            x[:, 1:3] = np.pi / 2
+        x[:, 1:3] += self.spread * rng.uniform(-1.0, 1.0, (n, 2))
+        return x
+
+    def ended(self, x: Array, rig: Rig) -> Codes:
+        """Give status codes: the track's end, or zero."""
+        return _ended(x, rig.track_limit, np.inf, np.inf)
+
+    def upright(self, x: Array) -> npt.NDArray[np.bool_]:
+        """Tell which states have both links within ``upright_angle`` of the vertical."""
+        lean = np.abs(wrap(x[:, 1:3]))
+        return (lean[:, 0] <= self.upright_angle) & (lean[:, 1] <= self.upright_angle)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unending:
+    """No task at all: a run ends at the track's end, and otherwise when its time is up."""
+
+    @property
+    def steps(self) -> None:
+        """There is no limit."""
+        return None
+
+    @property
+    def hold(self) -> float:
+        """Nothing need be upright."""
+        return 0.0
+
+    def starts(self, rng: np.random.Generator, n: int, rig: Rig) -> Array:
+        """Give ``n`` states at rest, hanging."""
+        return np.tile(EQUILIBRIA["down-down"], (n, 1))
+
+    def ended(self, x: Array, rig: Rig) -> Codes:
+        """Give status codes: the track's end, or zero."""
+        return _ended(x, rig.track_limit, np.inf, np.inf)
+
+    def upright(self, x: Array) -> npt.NDArray[np.bool_]:
+        """Ask nothing of the links."""
+        return np.ones(len(x), dtype=np.bool_)
+
+    def cost(self, x: Array, codes: Codes) -> Array:
+        """Nothing costs anything."""
+        return np.zeros(len(x))

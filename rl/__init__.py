@@ -1,0 +1,1 @@
+"""Learners for the inverted double pendulum on a cart."""
