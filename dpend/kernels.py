@@ -31,12 +31,17 @@ def compiled(function: Callable[..., Any]) -> Any:
     """Compile an entry point and keep the machine code on disk.
 
     Numba notices edits in the function's own file only, so the folder is named after a hash of all the sources it may
-    use: dpend's and those of its own package.  Where no folder can be written, it is compiled anew each time.
+    use: the equations, the coefficients, this file, and the function's own package where that is another.  Where no
+    folder can be written, it is compiled anew each time.
     """
-    packages = {Path(__file__).parent, Path(function.__code__.co_filename).parent}
+    here = Path(__file__).parent
+    package = Path(function.__code__.co_filename).parent
+    sources = [here / name for name in ("equations.py", "params.py", "kernels.py")]
+    if package != here:
+        sources.append(package)
     root = os.environ.get("NUMBA_CACHE_DIR") or Path.home() / ".cache" / "dpend"
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    numba.config.CACHE_DIR = str(Path(root) / fingerprint(*sorted(packages)))  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(Path(root) / fingerprint(*sources))  # type: ignore[attr-defined]
     try:
         return numba.njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # numba found no folder it may write to

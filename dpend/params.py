@@ -68,11 +68,12 @@ def checked_number(name: str, value: object, unit: str, least: float, least_allo
         If an element is not finite, or below what is allowed; the message names field, bound and value.
     """
     try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"{name} must be a number in {unit}, or an array (N,) with one number per row; got {value!r}."
-        ) from None
+        array = np.array(value)
+    except ValueError:  # rows of different lengths
+        array = np.array(None)
+    if array.dtype.kind not in "iuf":
+        raise TypeError(f"{name} must be a number in {unit}, or an array (N,) with one number per row; got {value!r}.")
+    array = array.astype(np.float64)
     if array.ndim > 1:
         raise TypeError(
             f"{name} must be a number in {unit}, or an array (N,) with one number per row; "

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Iterable
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -13,27 +12,24 @@ _LIBRARIES = ("dpend", "numpy", "scipy", "numba", "control", "gymnasium", "matpl
 
 
 @cache
-def fingerprint(*folders: Path) -> str:
-    """Hash the Python sources in some folders, so that results of another state of the code are told apart.
+def fingerprint(*sources: Path) -> str:
+    """Hash Python sources, so that results of another state of the code are told apart.
 
     Parameters
     ----------
-    *folders : Path
-        Packages; their ``*.py`` count, sub-packages do not.
+    *sources : Path
+        Files, or folders of which every ``*.py`` counts, sub-folders not.
 
     Returns
     -------
     str
         Sixteen hexadecimal digits.
     """
+    files = {file for source in sources for file in (source.glob("*.py") if source.is_dir() else (source,))}
     digest = hashlib.sha256()
-    for source in sorted(_sources(folders)):
-        digest.update(source.name.encode() + b"\0" + source.read_bytes())
+    for file in sorted(files):
+        digest.update(file.name.encode() + b"\0" + file.read_bytes())
     return digest.hexdigest()[:16]
-
-
-def _sources(folders: Iterable[Path]) -> Iterable[Path]:
-    return (source for folder in folders for source in folder.glob("*.py"))
 
 
 def versions() -> dict[str, str]:

@@ -35,8 +35,11 @@ def _checked_limit(name: str, value: object, unit: str) -> Number:
 
 def _checked_samples(name: str, value: object) -> Count:
     array = np.array(value)
-    whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and bool(np.all(array == np.rint(array))))
-    if array.dtype.kind == "b" or array.ndim > 1 or not whole or np.any(array < 0):
+    if (
+        array.dtype.kind not in "iuf"
+        or array.ndim > 1
+        or not np.all(np.isfinite(array) & (array == np.rint(array)) & (array >= 0))
+    ):
         raise ValueError(
             f"{name} must be a whole number of samples, at least 0, or an array (N,) of such; got {value!r}. "
             "A delay of d seconds is round(d / sample_time) samples."
@@ -62,6 +65,8 @@ def _checked_per_state(name: str, value: object) -> Number:
         )
     if array.ndim == 0:
         return float(array)
+    if array.ndim == 2:  # a row of it then always has six entries
+        array = np.repeat(array, 6 // array.shape[1], axis=1)
     array.setflags(write=False)
     return array
 
@@ -336,6 +341,15 @@ PRESETS: MappingProxyType[str, Callable[[], Rig]] = MappingProxyType(
 
 def rig(name: str) -> Rig:
     """Give the preset rig of that name.
+
+    Parameters
+    ----------
+    name : str
+        One of those that :func:`rigs` lists.
+
+    Returns
+    -------
+    Rig
 
     Raises
     ------

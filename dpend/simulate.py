@@ -216,7 +216,7 @@ def _simulate_block(
         y = stepper.step(u, pushed)
         x = stepper.x
         forces[k] = stepper.force
-        np.fmax(travel, np.abs(x[:, 0]), out=travel)
+        np.fmax(travel, np.abs(x[:, 0]), out=travel, where=alive)  # noise and pushes move what is parked
         if true is not None and measured is not None:
             true[k + 1], measured[k + 1] = x, y
         if watch_upright:

@@ -1,0 +1,72 @@
+r"""The report's Table 1: eighteen features, each constant or linear in the action.
+
+.. math:: x(s, a) = (\varphi_1(s), \dots, \varphi_{12}(s),\; a\,\psi_1(s), \dots, a\,\psi_6(s))
+
+so that :math:`\hat q(s, a) = x(s, a)^\top w = c(s) + a\,g(s)` is a straight line over the actions, and its greatest
+value is always at an end of the action set.  That is why every controller learned with these features is bang-bang.
+
+Source: *Control of Inverted Double Pendulum using Reinforcement Learning*, Table 1; the odd ones, which the surviving
+text lacks, follow from the pattern and from the code published with it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+TABLE1 = (
+    "|pos|",
+    "pos",
+    "|n(th1)|",
+    "n(th1)",
+    "|n(th2)|",
+    "n(th2)",
+    "|vel|",
+    "vel",
+    "|om1|",
+    "om1",
+    "|om2|",
+    "om2",
+    "a pos",
+    "a vel",
+    "a th1",
+    "a om1",
+    "a th2",
+    "a om2",
+)
+"""Names of the features, in the report's order; ``n`` is the difference to the nearest whole turn."""
+
+CART_FEATURES = tuple(i for i, name in enumerate(TABLE1) if "pos" in name or "vel" in name)
+"""Places in :data:`TABLE1` of the six features of position and velocity of the cart."""
+
+
+def nearest(angle):
+    """Give the report's normalAngle, the difference to the nearest whole turn, for floats, arrays, compiled loops."""
+    return angle - 2 * np.pi * np.rint(angle / (2 * np.pi))
+
+
+def make_value_features(nearest):
+    r"""Build :math:`\varphi(s)`, the twelve features that do not depend on the action.
+
+    Parameters
+    ----------
+    nearest : callable
+        :func:`nearest`, in the form the kind of number needs (numba wants it compiled).
+
+    Returns
+    -------
+    callable
+        Of a state that unpacks to six numbers.
+    """
+
+    def value_features(x):
+        pos, th1, th2, vel, om1, om2 = x
+        n1, n2 = nearest(th1), nearest(th2)
+        return abs(pos), pos, abs(n1), n1, abs(n2), n2, abs(vel), vel, abs(om1), om1, abs(om2), om2
+
+    return value_features
+
+
+def slope_features(x):
+    r"""Give :math:`\psi(s)`, the six factors of the action, for a state that unpacks to six numbers."""
+    pos, th1, th2, vel, om1, om2 = x
+    return pos, vel, th1, om1, th2, om2

@@ -1,0 +1,429 @@
+r"""Linear Q-learning, the report's Algorithm 1, as published and tuned.
+
+With :math:`\hat q(s, a) = x(s, a)^\top w` over the features of Table 1, under an :math:`\varepsilon`-greedy policy,
+every step does
+
+.. math::
+    \delta = r_{t+1} + \gamma \max_{a'} \hat q(s_{t+1}, a') - \hat q(s_t, a_t), \qquad
+    w \leftarrow w + \alpha\,\delta\,x(s_t, a_t).
+
+``docs/linear-q-learning.md`` lists what the report leaves open, and the numbered deviations of the tuned variant.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba.np.unsafe.ndarray import to_fixed_tuple
+
+from dpend.kernels import compiled, inline, sample
+from dpend.params import Array, Coefficients
+from dpend.rig import Rig
+from dpend.simulate import simulate_many
+from dpend.tasks import Balance
+
+from . import features
+from .features import CART_FEATURES, TABLE1
+from .policies import LinearQPolicy
+
+REPORT_FORCES = (0.0, 5.0, -5.0, 10.0, -10.0, 20.0, -20.0, 40.0, -40.0)
+"""The report's action set, N."""
+
+# Scales of the tuned variant, by state (pos, th1, th2, vel, om1, om2): of the value features, and of the action's.
+_VALUE_SCALES = (0.35846, 1.68729, 2.74029, 0.128418, 0.340911, 0.343562)
+_SLOPE_SCALES = (1.304099, 6.462294, 5.726458, 0.0557251, 0.0542309, 0.559797)
+
+_CHUNK = 200  # episodes between two looks at the keyboard and the progress bar
+
+
+class Outcome(Enum):
+    """How a training ended; the value says it."""
+
+    CONVERGED = "The learner met its criterion of convergence."
+    DIVERGED = "A weight grew beyond the range of floating-point numbers."
+    BUDGET_SPENT = "The budget of episodes was spent without convergence."
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Training:
+    """What a training gave, and what it cost.
+
+    Attributes
+    ----------
+    policy : LinearQPolicy
+        The greedy policy of the weights as they ended; finite even where they diverged.
+    outcome : Outcome
+        How it ended; ``converged`` is short for one of them.
+    episodes, steps : int
+        Learning episodes and the samples in them, over all restarts.
+    test_steps : int
+        Samples spent on acceptance tests.
+    restarts : int
+        How often learning began anew from zero weights.
+    lengths, rewards : ndarray (episodes,)
+        Samples and total reward of each learning episode.
+    seconds : float
+        Wall time.
+    """
+
+    policy: LinearQPolicy
+    outcome: Outcome
+    episodes: int
+    steps: int
+    test_steps: int
+    restarts: int
+    lengths: npt.NDArray[np.int64]
+    rewards: Array
+    seconds: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the learner met its criterion of convergence."""
+        return self.outcome is Outcome.CONVERGED
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearQLearning:
+    r"""Algorithm 1 of the report on a rig; the defaults are the report's hyper-parameters to the letter.
+
+    Learning counts as converged after ``streak`` successful episodes in a row.  Where ``acceptance`` names tests, the
+    greedy policy must then also pass them; if it does not, learning goes on.
+
+    Parameters
+    ----------
+    rig : Rig
+        An ideal one: no noise, delay or lag.
+    task : Balance
+        Starts, episode length, failure, and the costs whose negative is the reward.
+    scales : sequence of 18 floats
+        Factor of each feature of Table 1; zero leaves a feature out.
+    forces : sequence of float
+        The action set, N, within the rig's force limit; of equally good actions the first is taken.
+    alpha, alpha_decay : float
+        Step size :math:`\alpha / (1 + d\,k)` in episode :math:`k` since the last restart.
+    gamma : float
+        Discount factor.
+    epsilon, epsilon_decay : float
+        Exploration probability :math:`\varepsilon / (1 + d\,k)` in episode :math:`k` since the last restart.
+    bootstrap_failure : bool
+        Whether the step that fails still adds :math:`\gamma\max\hat q`, as Algorithm 1 is printed.
+    streak : int
+        Successful episodes in a row that end learning.
+    acceptance : sequence of (lambda, share)
+        The greedy policy must save at least that share of ``acceptance_episodes`` fresh starts of each spread.
+    acceptance_episodes : int
+        Episodes of each acceptance test.
+    restart_after : int, optional
+        Begin anew from zero weights where so many episodes did not converge.
+    max_episodes : int
+        Budget of learning episodes, restarts included.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the rig is not ideal.
+    """
+
+    rig: Rig
+    task: Balance = Balance()  # noqa: RUF009  (frozen)
+    scales: Sequence[float] = (1.0,) * len(TABLE1)
+    forces: Sequence[float] = REPORT_FORCES
+    alpha: float = 1e-4
+    alpha_decay: float = 0.0
+    gamma: float = 0.99
+    epsilon: float = 0.01
+    epsilon_decay: float = 0.0
+    bootstrap_failure: bool = True
+    streak: int = 20
+    acceptance: Sequence[tuple[float, float]] = ()
+    acceptance_episodes: int = 100
+    restart_after: int | None = None
+    max_episodes: int = 2000
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    @classmethod
+    def published(cls, rig: Rig, *, task: Balance | None = None, cart_features: bool = True) -> LinearQLearning:
+        """Give the report's learner to the letter; what the report leaves unstated may be chosen.
+
+        Parameters
+        ----------
+        rig : Rig
+            The rig.
+        task : Balance, optional
+            Cost weights, failure cost and criterion, which the report does not state.
+        cart_features : bool
+            Whether the six features of the cart's position and velocity take part.
+        """
+        scales = tuple(1.0 if cart_features or i not in CART_FEATURES else 0.0 for i in range(len(TABLE1)))
+        return cls(rig=rig, task=task or Balance(), scales=scales)
+
+    @classmethod
+    def tuned(cls, rig: Rig, *, select: bool = True) -> LinearQLearning:
+        """Give the same algorithm and features with the deviations that ``docs/linear-q-learning.md`` numbers.
+
+        The numbers were tuned on the preset ``gustafsson2016``; on another rig they are a start.
+
+        Parameters
+        ----------
+        rig : Rig
+            The rig.
+        select : bool
+            Whether acceptance tests and restarts take part; without, 20 successes in a row are enough, as in the
+            published variant.
+        """
+        value_scales = np.repeat(_VALUE_SCALES, 2)
+        slope_scales = np.array(features.slope_features(_SLOPE_SCALES)) / max(REPORT_FORCES)
+        return cls(
+            rig=rig,
+            task=Balance(lam=0.0814727, state_weights=(0.0354417, 1.0, 1.17711), failure_cost=1.59339),
+            scales=tuple(float(scale) for scale in (*value_scales, *slope_scales)),
+            alpha=0.00473758,
+            alpha_decay=0.002,
+            epsilon=0.0254024,
+            epsilon_decay=0.0386529,
+            bootstrap_failure=False,
+            acceptance=((0.3, 0.82), (0.1, 0.99)) if select else (),
+            restart_after=1500 if select else None,
+            max_episodes=12_000,
+        )
+
+    def train(self, seed: int | Sequence[int], *, progress: Callable[[int], None] | None = None) -> Training:
+        """Learn from zero weights.
+
+        Parameters
+        ----------
+        seed : int or sequence of int
+            What starts and exploration are drawn from.
+        progress : callable, optional
+            Called with the number of episodes done so far, every now and then.
+
+        Returns
+        -------
+        Training
+        """
+        began = time.perf_counter()
+        rng = np.random.default_rng(seed)
+        settings = self._settings()
+        coefficients = np.array(self.rig.params.coefficients(), dtype=np.float64)
+        scales, forces = np.array(self.scales), np.array(self.forces)
+        lengths = np.zeros(self.max_episodes, dtype=np.int64)
+        rewards = np.zeros(self.max_episodes)
+        weights = np.zeros(len(TABLE1))
+        episodes = age = streak = test_steps = restarts = 0
+        outcome = Outcome.BUDGET_SPENT
+        while episodes < self.max_episodes:
+            if age == self.restart_after:
+                weights[:] = 0.0
+                age = streak = 0
+                restarts += 1
+            chunk = min(_CHUNK, self.max_episodes - episodes, (self.restart_after or self.max_episodes) - age)
+            part = slice(episodes, episodes + chunk)
+            done, streak, finite = _run_episodes(
+                weights, scales, forces, settings, coefficients, age, streak, rng, lengths[part], rewards[part]
+            )
+            episodes += done
+            age += done
+            if progress is not None:
+                progress(episodes)
+            if not finite:
+                outcome = Outcome.DIVERGED
+                break
+            if streak >= self.streak:
+                passed, samples = self._accept(LinearQPolicy(weights, scales, forces), rng)
+                test_steps += samples
+                if passed:
+                    outcome = Outcome.CONVERGED
+                    break
+                streak = 0
+        return Training(
+            policy=LinearQPolicy(weights, scales, forces),
+            outcome=outcome,
+            episodes=episodes,
+            steps=int(lengths[:episodes].sum()),
+            test_steps=test_steps,
+            restarts=restarts,
+            lengths=lengths[:episodes],
+            rewards=rewards[:episodes],
+            seconds=time.perf_counter() - began,
+        )
+
+    def _accept(self, policy: LinearQPolicy, rng: np.random.Generator) -> tuple[bool, int]:
+        """Put the greedy policy to the acceptance tests, up to the first it fails; give the samples they took."""
+        samples = 0
+        for lam, share in self.acceptance:
+            task = replace(self.task, lam=lam)
+            starts = task.starts(rng, self.acceptance_episodes, self.rig)
+            runs = simulate_many(self.rig, policy, starts, task=task)
+            samples += int(runs.steps.sum())
+            if runs.success.mean() < share:
+                return False, samples
+        return True, samples
+
+    def _settings(self) -> _Settings:
+        task, rig = self.task, self.rig
+        return _Settings(
+            alpha=float(self.alpha),
+            alpha_decay=float(self.alpha_decay),
+            gamma=float(self.gamma),
+            epsilon=float(self.epsilon),
+            epsilon_decay=float(self.epsilon_decay),
+            bootstrap_failure=bool(self.bootstrap_failure),
+            streak=int(self.streak),
+            lam=float(task.lam),
+            steps=int(task.steps),
+            bounds=(float(rig.track_limit), *task.angle_limits),
+            weights=task.state_weights,
+            failure_cost=float(task.failure_cost),
+            substep=rig.sample_time / rig.substeps,
+            substeps=rig.substeps,
+        )
+
+
+def _check(learner: LinearQLearning) -> None:
+    """Refuse settings that make no sense, before anything runs."""
+    rig = learner.rig
+    if rig.n is not None:
+        raise ValueError(f"LinearQLearning trains on one plant; got a rig of {rig.n} rows.")
+    if not rig.ideal:
+        raise ValueError(
+            "LinearQLearning trains on ideal rigs; got one with lag, delay, noise or rounding. "
+            "Train on the ideal rig, then simulate the policy on this one."
+        )
+    if len(learner.scales) != len(TABLE1) or not np.isfinite(learner.scales).all():
+        raise ValueError(f"scales must be {len(TABLE1)} finite numbers; got {learner.scales!r}.")
+    forces = np.asarray(learner.forces, dtype=np.float64)
+    if forces.ndim != 1 or not len(forces) or not (np.abs(forces) <= rig.force_limit).all():
+        raise ValueError(
+            f"forces must be a list of forces within the rig's limit of {rig.force_limit:g} N; got {learner.forces!r}."
+        )
+    for name, good, wanted in (
+        ("alpha", learner.alpha > 0 and math.isfinite(learner.alpha), "greater than 0"),
+        ("alpha_decay", 0 <= learner.alpha_decay < math.inf, "at least 0"),
+        ("gamma", 0 < learner.gamma <= 1, "above 0 and at most 1"),
+        ("epsilon", 0 <= learner.epsilon <= 1, "within 0 and 1"),
+        ("epsilon_decay", 0 <= learner.epsilon_decay < math.inf, "at least 0"),
+        ("streak", learner.streak >= 1, "at least 1"),
+        ("acceptance_episodes", learner.acceptance_episodes >= 1, "at least 1"),
+        ("restart_after", learner.restart_after is None or learner.restart_after >= 1, "at least 1, or None"),
+        ("max_episodes", learner.max_episodes >= 1, "at least 1"),
+    ):
+        if not good:
+            raise ValueError(f"{name} must be {wanted}; got {getattr(learner, name)!r}.")
+
+
+class _Settings(NamedTuple):
+    """What the compiled loop needs to know."""
+
+    alpha: float
+    alpha_decay: float
+    gamma: float
+    epsilon: float
+    epsilon_decay: float
+    bootstrap_failure: bool
+    streak: int
+    lam: float
+    steps: int
+    bounds: tuple[float, float, float]
+    weights: tuple[float, float, float]
+    failure_cost: float
+    substep: float
+    substeps: int
+
+
+_turned = inline(features.nearest)
+_value_features = inline(features.make_value_features(_turned))
+_slope_features = inline(features.slope_features)
+
+
+@inline
+def _put_features(x, scales, value, slope):
+    """Write the scaled features of a state: those without the action, and the factors of the action."""
+    raw_value = _value_features(x)
+    for i in range(12):
+        value[i] = scales[i] * raw_value[i]
+    raw_slope = _slope_features(x)
+    for i in range(6):
+        slope[i] = scales[12 + i] * raw_slope[i]
+
+
+@inline
+def _line(w, value, slope):
+    """Give c and g of q(s, a) = c + a g."""
+    c = 0.0
+    for i in range(12):
+        c += w[i] * value[i]
+    g = 0.0
+    for i in range(6):
+        g += w[12 + i] * slope[i]
+    return c, g
+
+
+@inline
+def _greedy(g, forces):
+    """Give the first of the forces with the greatest a g."""
+    best = forces[0]
+    for force in forces[1:]:
+        if force * g > best * g:
+            best = force
+    return best
+
+
+@compiled
+def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, lengths, rewards):
+    """Run Algorithm 1 for some episodes, changing ``w`` in place; stop early at the wanted streak or at overflow.
+
+    Gives the episodes completed, the successes in a row at their end, and whether the weights are still finite.
+    """
+    s = settings
+    c_ = Coefficients(*to_fixed_tuple(coefficients, 15))  # pyright: ignore[reportCallIssue]
+    value, slope = np.empty(12), np.empty(6)
+    x_sa, w_next = np.empty(18), np.empty(18)
+    for episode in range(len(lengths)):
+        alpha = s.alpha / (1.0 + s.alpha_decay * (age + episode))
+        exploration = s.epsilon / (1.0 + s.epsilon_decay * (age + episode))
+        x = (0.0, s.lam * rng.uniform(-1.0, 1.0), s.lam * rng.uniform(-1.0, 1.0), 0.0, 0.0, 0.0)
+        _put_features(x, scales, value, slope)
+        failed = False
+        t = 0
+        while t < s.steps and not failed:
+            c, g = _line(w, value, slope)
+            a = forces[rng.integers(0, len(forces))] if rng.random() < exploration else _greedy(g, forces)
+            x_sa[:12] = value
+            for i in range(6):
+                x_sa[12 + i] = a * slope[i]
+            q = c + a * g
+
+            x = sample(x, (a, 0.0, 0.0), c_, s.substep, s.substeps)
+            failed = not (abs(x[0]) <= s.bounds[0] and abs(x[1]) <= s.bounds[1] and abs(x[2]) <= s.bounds[2])
+            reward = -(s.weights[0] * abs(x[0]) + s.weights[1] * abs(_turned(x[1])) + s.weights[2] * abs(_turned(x[2])))
+            if failed:
+                reward -= s.failure_cost
+            _put_features(x, scales, value, slope)
+            target = reward
+            if s.bootstrap_failure or not failed:
+                c, g = _line(w, value, slope)
+                target += s.gamma * (c + _greedy(g, forces) * g)
+            step = alpha * (target - q)
+            finite = True
+            for i in range(18):
+                w_next[i] = w[i] + step * x_sa[i]
+                finite &= math.isfinite(w_next[i])
+            if not finite:
+                return episode, streak, False
+            w[:] = w_next
+            rewards[episode] += reward
+            t += 1
+        lengths[episode] = t
+        streak = 0 if failed else streak + 1
+        if streak >= s.streak:
+            return episode + 1, streak, True
+    return len(lengths), streak, True

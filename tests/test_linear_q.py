@@ -1,0 +1,179 @@
+"""Linear Q-learning: the compiled loop against Algorithm 1 written out, its outcomes, its refusals."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import dpend
+from rl import LinearQLearning, LinearQPolicy, Outcome, load_policy
+from rl.features import make_value_features, nearest, slope_features
+
+RIG = dpend.rig("gustafsson2016")
+
+
+def algorithm_1(learner, seed, episodes):
+    """The report's Algorithm 1 over the stepper, step by step as printed."""
+    rng = np.random.default_rng(seed)
+    w, scales, forces = np.zeros(18), np.array(learner.scales), np.array(learner.forces)
+    stepper, task = dpend.Stepper(learner.rig, 1), learner.task
+
+    def features(x, a):
+        return scales * np.array([*make_value_features(nearest)(x), *(a * slope for slope in slope_features(x))])
+
+    def greedy(x):
+        return forces[int(np.argmax([w @ features(x, a) for a in forces]))]
+
+    lengths = []
+    for episode in range(episodes):
+        alpha = learner.alpha / (1 + learner.alpha_decay * episode)
+        epsilon = learner.epsilon / (1 + learner.epsilon_decay * episode)
+        th1, th2 = (task.lam * rng.uniform(-1, 1) for _ in range(2))
+        s = stepper.reset([0, th1, th2, 0, 0, 0])[0]
+        t, failed = 0, False
+        while t < task.steps and not failed:
+            a = forces[rng.integers(0, len(forces))] if rng.random() < epsilon else greedy(s)
+            s_next = stepper.step([a])[0]
+            codes = task.ended(s_next[None], learner.rig)
+            failed = bool(codes[0])
+            target = -task.cost(s_next[None], codes)[0]
+            if learner.bootstrap_failure or not failed:
+                target += learner.gamma * w @ features(s_next, greedy(s_next))
+            w = w + alpha * (target - w @ features(s, a)) * features(s, a)
+            s, t = s_next, t + 1
+        lengths.append(t)
+    return w, lengths
+
+
+@pytest.mark.parametrize(
+    "learner",
+    [
+        LinearQLearning.published(RIG, task=dpend.Balance(failure_cost=3.0, state_weights=(1, 2, 3))),
+        replace(LinearQLearning.published(RIG, task=dpend.Balance(criterion="report")), epsilon=0.3),
+        LinearQLearning.tuned(RIG, select=False),
+    ],
+    ids=["published", "exploring", "tuned"],
+)
+def test_the_compiled_loop_does_what_algorithm_1_says(learner):
+    learner = replace(learner, max_episodes=4, streak=99)
+    w, lengths = algorithm_1(learner, 5, 4)
+    training = learner.train(5)
+    assert list(training.lengths) == lengths
+    np.testing.assert_allclose(training.policy.weights, w, rtol=1e-6, atol=1e-9 * np.abs(w).max())
+
+
+def test_the_same_seed_learns_the_same_and_another_something_else():
+    learner = replace(LinearQLearning.tuned(RIG, select=False), max_episodes=30)
+    one, same, other = (learner.train(seed).policy.weights for seed in (0, 0, 1))
+    assert (one == same).all()
+    assert (one != other).any()
+
+
+def test_as_published_the_weights_overflow():
+    training = LinearQLearning.published(RIG).train(0)
+    assert training.outcome is Outcome.DIVERGED
+    assert not training.converged
+    assert np.isfinite(training.policy.weights).all()
+    assert np.abs(training.policy.weights).max() > 1e200
+
+
+def test_tuned_it_balances():
+    task = dpend.Balance(lam=0.2)
+    starts = task.starts(np.random.default_rng(9), 200, RIG)
+    for seed in (101, 102):
+        training = LinearQLearning.tuned(RIG).train(seed)
+        assert training.converged
+        assert dpend.simulate_many(RIG, training.policy, starts, task=task).success.mean() > 0.9
+
+
+def test_every_step_of_learning_and_of_testing_is_counted():
+    reports = []
+    training = LinearQLearning.tuned(RIG).train(101, progress=reports.append)
+    assert training.steps == training.lengths.sum()
+    assert training.episodes == len(training.lengths) == len(training.rewards) == reports[-1]
+    assert 20_000 < training.test_steps < 10_000_000  # at least the last test: 100 starts, nearly all of 300 samples
+    assert reports == sorted(reports)
+
+
+def test_the_last_successes_are_the_streak_that_ended_learning():
+    training = LinearQLearning.tuned(RIG, select=False).train(3)
+    assert training.converged
+    assert (training.lengths[-20:] == 300).all()
+    assert training.lengths[-21] < 300
+    assert training.test_steps == 0
+
+
+def test_it_begins_anew_where_it_does_not_converge():
+    learner = replace(LinearQLearning.published(RIG, cart_features=False), restart_after=10, max_episodes=35)
+    training = learner.train(0)
+    assert (training.outcome, training.restarts, training.episodes) == (Outcome.BUDGET_SPENT, 3, 35)
+
+
+def test_features_of_scale_zero_keep_weight_zero():
+    training = replace(LinearQLearning.published(RIG, cart_features=False), max_episodes=20).train(0)
+    w = training.policy.weights
+    assert (w[[0, 1, 6, 7, 12, 13]] == 0).all()
+    assert (w[[2, 3, 4, 5]] != 0).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"alpha": 0.0}, "alpha must be greater than 0; got 0.0."),
+        ({"alpha_decay": -1.0}, "alpha_decay must be at least 0; got -1.0."),
+        ({"gamma": 1.5}, "gamma must be above 0 and at most 1; got 1.5."),
+        ({"epsilon": -0.1}, "epsilon must be within 0 and 1; got -0.1."),
+        ({"epsilon_decay": -0.1}, "epsilon_decay must be at least 0; got -0.1."),
+        ({"streak": 0}, "streak must be at least 1; got 0."),
+        ({"acceptance_episodes": 0}, "acceptance_episodes must be at least 1; got 0."),
+        ({"restart_after": 0}, "restart_after must be at least 1, or None; got 0."),
+        ({"max_episodes": 0}, "max_episodes must be at least 1; got 0."),
+        ({"scales": (1.0,)}, "scales must be 18 finite numbers; got (1.0,)."),
+        ({"forces": (50.0,)}, "forces must be a list of forces within the rig's limit of 40 N; got (50.0,)."),
+        (
+            {"rig": RIG.replace(sensor_noise=0.1)},
+            "LinearQLearning trains on ideal rigs; got one with lag, delay, noise or rounding. "
+            "Train on the ideal rig, then simulate the policy on this one.",
+        ),
+        (
+            {"rig": RIG.replace(mass1=[0.5, 0.6])},
+            "LinearQLearning trains on one plant; got a rig of 2 rows.",
+        ),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(changes, message):
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        replace(LinearQLearning.published(RIG), **changes)
+
+
+def test_a_saved_policy_comes_back(tmp_path):
+    policy = LinearQPolicy(np.arange(18.0), np.ones(18), (0.0, -40.0, 40.0))
+    back = load_policy(policy.save(tmp_path / "policy"))
+    for name in ("weights", "scales", "forces"):
+        assert (getattr(back, name) == getattr(policy, name)).all()
+
+
+def test_a_foreign_file_is_refused_and_runs_nothing(tmp_path):
+    file = tmp_path / "foreign.npz"
+    np.savez(file, format=np.array(["x", object()], dtype=object))  # would need pickle to read
+    with pytest.raises(ValueError, match=rf"^{re.escape(str(file))} is not a policy saved by dpend \("):
+        load_policy(file)
+    file.write_bytes(b"PK\x03\x04 cut short")
+    with pytest.raises(ValueError, match=r"is not a policy saved by dpend"):
+        load_policy(file)
+    with pytest.raises(FileNotFoundError):
+        load_policy(tmp_path / "none.npz")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((np.ones(3), np.ones(18), (1.0,)), "weights must have shape (18,); got (3,)."),
+        ((np.full(18, np.nan), np.ones(18), (1.0,)), "weights must be finite."),
+        ((np.ones(18), np.ones(18), ()), "forces must have shape (m,); got (0,)."),
+    ],
+)
+def test_a_policy_of_wrong_arrays_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        LinearQPolicy(*arguments)

@@ -1,0 +1,151 @@
+"""The runner of studies: complete tables, whatever happens on the way; clear refusals."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dpend
+from studies import _study, lambda_sweep, published_q
+
+ROOT = Path(__file__).parent.parent
+
+
+def example(out, *arguments):
+    return [sys.executable, "-m", "tests.study_example", "--out", str(out), "--workers", "1", *arguments]
+
+
+def test_a_study_writes_table_settings_traces_and_figure(tmp_path):
+    rows = _study.main("tests.study_example", ["--out", str(tmp_path), "--workers", "1", "--jobs", "3"])
+    assert [(row.name, row.repetition, row.even) for row in rows] == [
+        ("a", 0, True), ("b", 0, True), ("a", 1, False), ("b", 1, False), ("a", 2, True), ("b", 2, True)
+    ]  # fmt: skip
+    assert rows[0].value == np.random.default_rng([0, 0]).normal()
+    meta = json.loads((tmp_path / "meta.json").read_text())
+    assert meta["options"]["jobs"] == 3
+    assert meta["versions"]["numpy"] == np.__version__
+    assert (tmp_path / "tests.study_example.png").stat().st_size > 1000
+    assert set(_study.read_traces(tmp_path / "traces.npz")) == {"nap-0", "nap-1", "nap-2"}
+
+
+def test_several_workers_give_the_same_table(tmp_path):
+    tables = [
+        _study.main("tests.study_example", ["--out", str(tmp_path / n), "--workers", n, "--jobs", "4"]) for n in "12"
+    ]
+    assert tables[0] == tables[1]
+
+
+def test_killed_in_the_middle_and_started_again_it_ends_with_the_same_table(tmp_path):
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    options = ("--nap", "0.1")
+    subprocess.run(example(whole, *options), cwd=ROOT, check=True, capture_output=True)
+    process = subprocess.Popen(
+        example(broken, *options), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    while len(list((broken / "jobs").glob("*.json"))) < 3:
+        time.sleep(0.02)
+        assert process.poll() is None
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    kept = {file: file.stat().st_mtime_ns for file in (broken / "jobs").glob("*.json")}
+    assert 3 <= len(kept) < 12
+    subprocess.run(example(broken, *options), cwd=ROOT, check=True, capture_output=True)
+    assert {file: file.stat().st_mtime_ns for file in kept} == kept
+    assert (broken / "rows.csv").read_text() == (whole / "rows.csv").read_text()
+
+
+def test_ctrl_c_keeps_what_is_done_and_says_so(tmp_path):
+    process = subprocess.Popen(
+        [*example(tmp_path, "--nap", "0.1")], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    while len(list((tmp_path / "jobs").glob("*.json"))) < 2:
+        time.sleep(0.02)
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate()
+    assert process.returncode == 130
+    assert "Stopped. Finished jobs are kept: the same command goes on from here." in errors
+    assert len(list((tmp_path / "jobs").glob("*.json"))) >= 2
+
+
+def test_other_options_are_other_work(tmp_path):
+    first = _study.main("tests.study_example", ["--out", str(tmp_path), "--workers", "1", "--jobs", "2"])
+    other = _study.main("tests.study_example", ["--out", str(tmp_path), "--workers", "1", "--jobs", "2", "--seed", "1"])
+    assert all(a.value != b.value for a, b in zip(first, other, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--lam", "0.1", "0.0"], "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; "
+         "got 0.0."),
+        (["--lam", "-0.2"], "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; got -0.2."),
+        (["--controllers", "0"], "--controllers must be at least 1; got 0."),
+        (["--episodes", "0"], "--episodes must be at least 1; got 0."),
+        (["--workers", "0"], "--workers must be at least 1; got 0."),
+        (["--seed", "-1"], "--seed must be at least 0; got -1."),
+    ],
+)  # fmt: skip
+def test_bad_options_are_refused_before_any_training(arguments, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(lambda_sweep, "run", None)
+    with pytest.raises(SystemExit, match="2"):
+        _study.main("studies.lambda_sweep", ["--out", str(tmp_path), *arguments])
+    assert message in re.sub(r"[\s│]+", " ", capsys.readouterr().err)
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_any_training(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(lambda_sweep, "run", None)
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit, match="2"):
+        _study.main("studies.lambda_sweep", ["--out", str(tmp_path / "file" / "results")])
+    error = f"Error: Cannot write to --out {tmp_path / 'file' / 'results'} (Not a directory); "
+    assert error + "choose a folder that you may write to." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", list(_study.studies()))
+def test_every_study_says_its_question_and_runs_quickly(name, tmp_path):
+    module = sys.modules.get(name) or __import__(name, fromlist=["*"])
+    assert module.__doc__.splitlines()[0].endswith("?")
+    assert "\nFinding" in module.__doc__
+    rows = _study.main(name, ["--quick", "--out", str(tmp_path), "--workers", "1"])
+    assert rows
+    assert (tmp_path / f"{name.removeprefix('studies.')}.png").stat().st_size > 10_000
+
+
+def test_trained_controllers_meet_their_part_of_the_starts_that_lqr_meets_whole():
+    options = lambda_sweep.Options(controllers=2, episodes=30, lam=(0.3,))
+    rig = dpend.rig("gustafsson2016")
+    task = dpend.Balance(lam=0.3)
+    starts = task.starts(np.random.default_rng([0, 1]), 60, rig)
+    (lqr,) = lambda_sweep.run(_study.Job("LQR"), options).rows
+    assert lqr.successes == dpend.simulate_many(rig, lambda_sweep.LQR(rig), starts, task=task).success.sum()
+    (second,) = lambda_sweep.run(_study.Job("Q published", 1), options).rows
+    policy = lambda_sweep.LEARNED["Q published"](rig).train([0, 2, 1]).policy
+    assert second.successes == dpend.simulate_many(rig, policy, starts[30:], task=task).success.sum()
+    assert second.episodes == 30
+
+
+def test_the_published_sweep_covers_every_combination():
+    rows = [
+        row
+        for job in published_q.jobs(published_q.Options())[:1]
+        for row in published_q.run(job, published_q.Options(quick=True)).rows
+    ]
+    ways = {(row.failure_cost, row.failed_step, row.streak) for row in rows}
+    assert len(ways) == len(published_q.FAILURE_COSTS) * len(published_q.BOOTSTRAPS) * len(published_q.STREAKS)
+    assert len(published_q.jobs(published_q.Options())) == 12
+
+
+def test_the_list_of_studies_names_each_with_its_finding():
+    shown = subprocess.run(
+        [sys.executable, "-m", "studies"], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout
+    for name in _study.studies():
+        assert f"python -m {name}" in shown
+    assert "Finding" in shown
