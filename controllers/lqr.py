@@ -102,11 +102,15 @@ class LQR:
         self._Ad, self._Bd = discretize(A, B, rig.sample_time)
         try:
             if design == "discrete":
-                K, P, _ = control.dlqr(self._Ad, self._Bd, self.Q, self.R)
+                K, P, poles = control.dlqr(self._Ad, self._Bd, self.Q, self.R)
+                slowest = np.abs(poles).max() - 1
             elif design == "continuous":
-                K, P, _ = control.lqr(A, B, self.Q, self.R)
+                K, P, poles = control.lqr(A, B, self.Q, self.R)
+                slowest = np.real(poles).max()
             else:
                 raise ValueError(f'design must be "discrete" or "continuous"; got {design!r}.')
+            if slowest > -1e-10:  # the solver does not refuse an integrator that no weight sees
+                raise np.linalg.LinAlgError("a mode of the loop does not decay")
         except np.linalg.LinAlgError as error:
             raise ValueError(
                 f"There is no stabilising solution of the Riccati equation for these weights ({error}); "
@@ -128,7 +132,8 @@ class LQR:
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Give the law for ``n`` runs."""
         gain = self.K[0]
-        return lambda t, y: -(nearest_upright(y) @ gain)
+        # A matrix product would round a row differently in batches of different size.
+        return lambda t, y: -np.einsum("ij,j->i", nearest_upright(y), gain)
 
     def margins(self) -> Margins:
         """Give the margins of the sampled loop :math:`L(z) = K(zI - A_d)^{-1}B_d`.

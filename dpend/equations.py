@@ -50,17 +50,19 @@ def make_rates(sin, cos):
         r2 = f[2] + c.f2 * s2 + c.d5 * s12 * om1 * om1 - joint_rub
 
         # Block elimination of D = [[d1, d2 c1, d3 c2], [., d4, d5 c12], [., ., d6]].
-        e1 = c.d2 * c1 / c.d1
-        e2 = c.d3 * c2 / c.d1
+        # Reciprocals, because division takes several times as long as multiplication.
+        per_mass = 1.0 / c.d1
+        e1 = c.d2 * c1 * per_mass
+        e2 = c.d3 * c2 * per_mass
         m11 = c.d4 - c.d2 * c1 * e1
         m12 = c.d5 * c12 - c.d2 * c1 * e2
         m22 = c.d6 - c.d3 * c2 * e2
         p1 = r1 - e1 * r0
         p2 = r2 - e2 * r0
-        det = m11 * m22 - m12 * m12
-        al1 = (m22 * p1 - m12 * p2) / det
-        al2 = (m11 * p2 - m12 * p1) / det
-        acc = r0 / c.d1 - e1 * al1 - e2 * al2
+        per_det = 1.0 / (m11 * m22 - m12 * m12)
+        al1 = (m22 * p1 - m12 * p2) * per_det
+        al2 = (m11 * p2 - m12 * p1) * per_det
+        acc = r0 * per_mass - e1 * al1 - e2 * al2
         return vel, om1, om2, acc, al1, al2
 
     return rates

@@ -167,7 +167,7 @@ def plant_step(x, f, coefficients, h, substeps):
     n = x.shape[0]
     shared = coefficients.shape[0] == 1
     c = Coefficients(*to_fixed_tuple(coefficients[0], _FIELDS))  # pyright: ignore[reportCallIssue]
-    block = np.zeros(_WIDTH * _BLOCK)
+    block = np.empty(_WIDTH * _BLOCK)
     for start in range(0, n, _BLOCK):
         m = min(_BLOCK, n - start)
         for j in range(m):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,7 +70,7 @@ class Run:
         return {
             "success": float(self.success),
             "time_up": self.time_up,
-            "travel": float(np.abs(self.x[:, 0]).max()),
+            "travel": float(np.fmax.reduce(np.abs(self.x[:, 0]))),
         } | {name: float(value[0]) for name, value in of_force.items()}
 
     def plot(self) -> Figure:
@@ -83,15 +84,15 @@ class Run:
 
         return plot_run(self)
 
-    def animate(self, path: str | Path, *, fps: int = 25, speed: float = 1.0) -> Path:
+    def animate(self, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Path:
         """Write an animation: a GIF, or an MP4 where ffmpeg is there.
 
         Parameters
         ----------
         path : str or Path
             Where to; the suffix, ``.gif`` or ``.mp4``, chooses the format.
-        fps : int
-            Pictures per second.
+        fps : float
+            Pictures per second; a GIF takes the nearest that it can hold, and plays at the right speed all the same.
         speed : float
             Seconds of the run in a second of film.
 
@@ -105,11 +106,13 @@ class Run:
         ValueError
             If the suffix is another, or a number is not greater than zero.
         RuntimeError
-            If an MP4 is asked for and there is no ffmpeg.
+            If an MP4 is asked for and there is no ffmpeg, or ffmpeg fails.
+        OSError
+            If the folder cannot be written to; before anything is drawn.
         """
         from .draw import animate_run
 
-        return animate_run(self, Path(path), fps=fps, speed=speed)
+        return animate_run(self, path, fps=fps, speed=speed)
 
     def save(self, path: str | Path) -> Path:
         """Write the run as a compressed ``.npz`` of plain arrays; nothing in it can run code.
@@ -141,7 +144,7 @@ class Run:
                 y=self.y,
                 u=self.u,
                 step_time=self.step_time,
-                about=np.array(json.dumps(about, default=np.ndarray.tolist)),
+                about=np.array(json.dumps(about, default=lambda of_numpy: of_numpy.tolist())),
             )
         return path
 
@@ -151,24 +154,28 @@ class Run:
 
         Raises
         ------
-        FileNotFoundError
-            If there is no such file.
+        OSError
+            If the file is not there or cannot be read.
         ValueError
-            If the file is not a saved run.
+            If it is not a saved run, or is damaged.
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with Path(path).open("rb") as source, np.load(source, allow_pickle=False) as file:
                 about = json.loads(str(file["about"]))
-                if about.pop("format") != _FORMAT:
-                    raise ValueError("another format")
                 arrays = {name: file[name] for name in ("t", "x", "y", "u", "step_time")}
+            steps = arrays["u"].size
+            shapes = {"t": (steps + 1,), "x": (steps + 1, 6), "y": (steps + 1, 6), "u": (steps,), "step_time": (steps,)}
+            if about.pop("format") != _FORMAT or any(
+                array.shape != shapes[name] or array.dtype != np.float64 for name, array in arrays.items()
+            ):
+                raise ValueError("another format")
             about["status"] = Status[about["status"]]
             about["rig"] = Rig.from_dict(about["rig"])
             return cls(**arrays, **about)
-        except FileNotFoundError:
+        except OSError:
             raise
-        except Exception as error:
-            raise ValueError(f"{path} is not a run saved by Run.save ({error}).") from error
+        except Exception as error:  # whatever a foreign file makes the readers stumble over
+            raise ValueError(f"{path} is not a run saved by Run.save, or it is damaged.") from error
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -225,6 +232,9 @@ class Runs:
     def __len__(self) -> int:
         return len(self.u)
 
+    def __iter__(self) -> Iterator[Run]:
+        return (self[row] for row in range(len(self)))
+
     @property
     def status(self) -> list[Status]:
         """How each run ended."""
@@ -259,7 +269,7 @@ class Runs:
             y=self.y[row, : steps + 1],
             u=self.u[row, :steps],
             step_time=self.step_time[row, :steps],
-            status=self.status[row],
+            status=list(Status)[self.codes[row]],
             success=bool(self.success[row]),
             time_up=float(self.time_up[row]),
             rig=self.rig.rows(row),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -111,7 +112,9 @@ class Stepper:
 
         rows = range(first_row, first_row + n)
         self._limited = bool(np.any(np.isfinite(rig.force_limit)))
-        self._first_limit = float(np.ravel(rig.force_limit)[0])
+        self._most = np.full(n, rig.force_limit)  # one a row, which numpy compares faster than with a single number
+        self._least = -self._most
+        self._first_limit = float(self._most[0])
         self._lagged = bool(np.any(rig.actuator_lag))
         with np.errstate(divide="ignore"):
             self._rest = np.exp(-rig.sample_time / np.asarray(rig.actuator_lag)) if self._lagged else 0.0
@@ -144,12 +147,13 @@ class Stepper:
             If the states are not of that shape or not finite.
         """
         chosen = _ALL if rows is None else rows
-        self.x[chosen] = as_states(x0, len(self.x[chosen]))
+        states = as_states(x0, len(self.force[chosen]))
+        self.x[chosen] = states
         self.force[chosen] = 0.0
         self._drive[chosen] = 0.0
         if self._commands is not None:
             self._commands.fill(0.0, chosen)
-        reading = self._read(chosen)
+        reading = self._measured(states, chosen)
         if self._readings is not None:
             self._readings.fill(reading, chosen)
         return reading
@@ -185,11 +189,11 @@ class Stepper:
         if self._commands is not None:
             command = self._commands.pass_on(command[:, None])[:, 0]
         if self._limited:
-            if self.n == 1:  # for one number Python's own functions take a tenth of the time
-                command[0] = min(max(command[0], -self._first_limit), self._first_limit)
-            else:
-                np.maximum(command, -rig.force_limit, out=command)
-                np.minimum(command, rig.force_limit, out=command)
+            if self.n > 1:
+                np.maximum(command, self._least, out=command)
+                np.minimum(command, self._most, out=command)
+            elif abs(command.item()) > self._first_limit:  # for one number, a tenth of numpy's time
+                command[0] = math.copysign(self._first_limit, command.item())
         if self._lagged:
             command = command + self._rest * (self._drive - command)  # exact for a row without lag
             self._drive = command
@@ -204,12 +208,11 @@ class Stepper:
         self._plant_step(self.x, self._generalised, self._coefficients, self._substep, rig.substeps)
         if push is not None:
             self._generalised[:, 1:] = 0.0
-        reading = self._read(_ALL)
+        reading = self._measured(self.x.copy(), _ALL)
         return reading if self._readings is None else self._readings.pass_on(reading)
 
-    def _read(self, rows: Rows) -> Array:
-        """Sample the true states of some rows, round them and add noise; always a new array."""
-        y = self.x.copy() if rows is _ALL else self.x[rows].copy()
+    def _measured(self, y: Array, rows: Rows) -> Array:
+        """Round the states of some rows, and give them noise, in place."""
         if self._resolution is not None:
             step = self._resolution[rows]
             np.divide(y, step, out=y, where=step > 0)

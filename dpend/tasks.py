@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -68,30 +68,26 @@ _TURN = 2 * math.pi
 _TRACK_END, _LINK1_FELL, _LINK2_FELL, _NOT_FINITE = (status.code for status in list(Status)[1:])
 
 
-def _codes_by_row(x, track_limit, limit1, limit2):
-    """Give status codes for bounds on position and angles; NaN is outside every bound."""
-    n = len(x)
-    limits = np.broadcast_to(track_limit, (n,))
-    codes = np.zeros(n, dtype=np.uint8)
-    for i in range(n):
-        if not abs(x[i, 0]) <= limits[i]:
-            codes[i] = _TRACK_END
-        elif not abs(x[i, 1]) <= limit1:
-            codes[i] = _LINK1_FELL
-        elif not abs(x[i, 2]) <= limit2:
-            codes[i] = _LINK2_FELL
-        if codes[i] != 0:
+def _codes_by_row(x, track_limit, limit1, limit2, codes):
+    """Find the status codes for bounds on position and angles; NaN is outside every bound."""
+    limits = np.broadcast_to(track_limit, codes.shape)
+    for i in range(len(codes)):
+        on_track = abs(x[i, 0]) <= limits[i]
+        up1 = abs(x[i, 1]) <= limit1
+        up2 = abs(x[i, 2]) <= limit2
+        codes[i] = 0
+        if not (on_track & up1 & up2):  # seldom, so one test for all
+            codes[i] = _LINK2_FELL if up1 else _LINK1_FELL
+            if not on_track:
+                codes[i] = _TRACK_END
             for k in range(6):
                 if not np.isfinite(x[i, k]):
                     codes[i] = _NOT_FINITE
-    return codes
 
 
-def _costs_by_row(x, codes, on_pos, on_th1, on_th2, failure_cost):
-    r"""Give :math:`w \cdot (|p|, |n(\theta_1)|, |n(\theta_2)|)`, and the cost of failing."""
-    n = len(x)
-    costs = np.empty(n)
-    for i in range(n):
+def _costs_by_row(x, codes, on_pos, on_th1, on_th2, failure_cost, costs):
+    r"""Find :math:`w \cdot (|p|, |n(\theta_1)|, |n(\theta_2)|)`, and the cost of failing."""
+    for i in range(len(costs)):
         th1, th2 = x[i, 1], x[i, 2]
         cost = on_th1 * abs(th1 - _TURN * np.rint(th1 / _TURN)) + on_th2 * abs(th2 - _TURN * np.rint(th2 / _TURN))
         if on_pos != 0.0:
@@ -99,26 +95,23 @@ def _costs_by_row(x, codes, on_pos, on_th1, on_th2, failure_cost):
         if codes[i] != 0:
             cost += failure_cost
         costs[i] = cost
-    return costs
 
 
-def _upright_by_row(x, angle):
-    """Tell which states have both links within an angle of the vertical."""
-    n = len(x)
-    upright = np.empty(n, dtype=np.bool_)
-    for i in range(n):
+def _upright_by_row(x, angle, upright):
+    """Find which states have both links within an angle of the vertical."""
+    for i in range(len(upright)):
         th1, th2 = x[i, 1], x[i, 2]
         lean1 = abs(th1 - _TURN * np.rint(th1 / _TURN))
         lean2 = abs(th2 - _TURN * np.rint(th2 / _TURN))
         upright[i] = lean1 <= angle and lean2 <= angle
-    return upright
 
 
 @cache
 def _compiled(by_row: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a loop over rows: one pass over the batch, and a tenth of numpy's time where there is one row.
 
-    Unlike the plant's kernels it rounds every product, so it gives numpy's bits.
+    Unlike the plant's kernels it rounds every product, so it gives numpy's bits.  The loops fill an array, the last
+    argument, because to return one takes numba longer than to judge a row.
     """
     import numba  # with the first state judged, not with `import dpend`
 
@@ -126,6 +119,13 @@ def _compiled(by_row: Callable[..., Any]) -> Callable[..., Any]:
         return numba.njit(cache=True)(by_row)
     except RuntimeError:  # numba found no folder it may write to
         return numba.njit(by_row)
+
+
+def _codes(x: Array, rig: Rig, limit1: float, limit2: float) -> Codes:
+    """Give status codes for the ends of the track and bounds on the angles."""
+    codes = np.empty(len(x), dtype=np.uint8)
+    _compiled(_codes_by_row)(x, rig.track_limit, limit1, limit2, codes)
+    return codes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,7 +164,9 @@ class ReportCost:
 
     def cost(self, x: Array, codes: Codes) -> Array:
         """Give the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
-        return _compiled(_costs_by_row)(x, codes, *self.state_weights, self.failure_cost)
+        costs = np.empty(len(x))
+        _compiled(_costs_by_row)(x, codes, *self.state_weights, self.failure_cost, costs)
+        return costs
 
 
 def _checked_steps(steps: object) -> None:
@@ -212,7 +214,7 @@ class Balance(ReportCost):
         """Balancing succeeds by lasting; no time upright is asked for beside it."""
         return 0.0
 
-    @property
+    @cached_property
     def angle_limits(self) -> tuple[float, float]:
         """Greatest absolute angle of link 1 and of link 2, rad."""
         return math.pi / 2, math.pi / 2 if self.criterion == "strict" else math.inf
@@ -225,7 +227,7 @@ class Balance(ReportCost):
 
     def ended(self, x: Array, rig: Rig) -> Codes:
         """Give status codes: the track's end, a fallen link, or zero."""
-        return _compiled(_codes_by_row)(x, rig.track_limit, *self.angle_limits)
+        return _codes(x, rig, *self.angle_limits)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Tell which states have not fallen, which is all that balancing asks."""
@@ -313,11 +315,13 @@ class SwingUp(ReportCost):
 
     def ended(self, x: Array, rig: Rig) -> Codes:
         """Give status codes: the track's end, or zero."""
-        return _compiled(_codes_by_row)(x, rig.track_limit, np.inf, np.inf)
+        return _codes(x, rig, math.inf, math.inf)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Tell which states have both links within ``upright_angle`` of the vertical."""
-        return _compiled(_upright_by_row)(x, self.upright_angle)
+        upright = np.empty(len(x), dtype=np.bool_)
+        _compiled(_upright_by_row)(x, self.upright_angle, upright)
+        return upright
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -340,7 +344,7 @@ class Unending:
 
     def ended(self, x: Array, rig: Rig) -> Codes:
         """Give status codes: the track's end, or zero."""
-        return _compiled(_codes_by_row)(x, rig.track_limit, np.inf, np.inf)
+        return _codes(x, rig, math.inf, math.inf)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Ask nothing of the links."""

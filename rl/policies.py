@@ -53,6 +53,11 @@ class LinearQPolicy:
     def save(self, path: str | Path) -> Path:
         """Write the policy as an ``.npz`` of plain arrays.
 
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
         Returns
         -------
         Path
@@ -75,6 +80,15 @@ class LinearQPolicy:
 
 def load_policy(path: str | Path) -> LinearQPolicy:
     """Read a saved policy; nothing in the file can run code.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    LinearQPolicy
 
     Raises
     ------

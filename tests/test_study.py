@@ -85,7 +85,8 @@ def test_other_options_are_other_work(tmp_path):
     [
         (["--lam", "0.1", "0.0"], "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; "
          "got 0.0."),
-        (["--lam", "-0.2"], "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; got -0.2."),
+        (["--lam", "-0.2"], "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; "
+         "got -0.2."),
         (["--controllers", "0"], "--controllers must be at least 1; got 0."),
         (["--episodes", "0"], "--episodes must be at least 1; got 0."),
         (["--workers", "0"], "--workers must be at least 1; got 0."),
@@ -111,8 +112,9 @@ def test_a_folder_that_cannot_be_written_is_refused_before_any_training(tmp_path
 @pytest.mark.parametrize("name", list(_study.studies()))
 def test_every_study_says_its_question_and_runs_quickly(name, tmp_path):
     module = sys.modules.get(name) or __import__(name, fromlist=["*"])
-    assert module.__doc__.splitlines()[0].endswith("?")
-    assert "\nFinding" in module.__doc__
+    question, *_, finding = (module.__doc__ or "").strip().split("\n\n")
+    assert question.endswith("?")
+    assert finding.startswith("Finding: ")
     rows = _study.main(name, ["--quick", "--out", str(tmp_path), "--workers", "1"])
     assert rows
     assert (tmp_path / f"{name.removeprefix('studies.')}.png").stat().st_size > 10_000

@@ -1,0 +1,424 @@
+"""Pictures of a rig, figures and animations of a run.  Nothing else in the package imports matplotlib."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import math
+import shutil
+import subprocess
+import textwrap
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrow, Rectangle
+from matplotlib.ticker import MaxNLocator
+from PIL import Image
+
+from .params import Array
+from .plant import positions
+from .rig import Rig
+from .run import Run
+from .state import as_states
+
+Pixels = npt.NDArray[np.uint8]
+
+# Okabe and Ito's palette: told apart by colour-blind eyes, and of different lightness.
+BLUE, VERMILLION, GREEN, DARK, GREY = "#0072B2", "#D55E00", "#009E73", "#333333", "#8C8C8C"
+
+_DPI = 100
+_WIDTH, _LEFT, _RIGHT, _BOTTOM, _TOP = 720, 58, 22, 48, 32  # of a picture and its margins, pixels
+_STEPS = [1, 2, 5, 10]  # between the marks of an axis
+_WEIGHT = 9.81  # N/kg: what the arrow is measured by where the force has no limit
+
+_NO_WINDOW = (
+    "matplotlib cannot open a window here with its backend {!r}. Where there is a display, install a window toolkit "
+    '(python -m pip install PyQt6); where there is none, use render_mode="rgb_array" or Run.animate.'
+)
+
+
+class Picture:
+    """One state of a rig, drawn to scale: track, cart, both links, and an arrow for the force.
+
+    The whole track is in view; where it has no end, or is much longer than the links, the view follows the cart.  The
+    arrow has its full length at the force limit, or at the plant's weight on Earth where there is none.
+
+    Parameters
+    ----------
+    rig : Rig
+        One rig.
+
+    Attributes
+    ----------
+    figure : matplotlib.figure.Figure
+        What was drawn last, to be saved or added to.
+
+    Raises
+    ------
+    ValueError
+        If the rig describes several rows.
+    """
+
+    def __init__(self, rig: Rig) -> None:
+        if rig.n is not None:
+            raise ValueError(f"A picture shows one rig; got a rig of {rig.n} rows. Take one of them with rig.rows(i).")
+        self._params = params = rig.params
+        reach = float(params.length1 + params.length2)
+        limit = float(rig.force_limit)
+        mass = float(params.cart_mass + params.mass1 + params.mass2)
+        self._metres_per_newton = 0.45 * reach / (limit if math.isfinite(limit) else _WEIGHT * mass)
+        self._longest = 0.45 * reach
+        self._cart_width, self._cart_height = 0.2 * reach, 0.1 * reach
+        track = float(rig.track_limit)
+        self._follows = track > 3 * reach
+        self._half_width = 2.2 * reach if self._follows else max(track + 1.1 * reach, 1.6 * reach)
+        half_height = 1.1 * reach
+
+        across = _WIDTH - _LEFT - _RIGHT
+        up = 2 * round(across * half_height / self._half_width / 2)  # even, as video codecs want
+        height = up + _BOTTOM + _TOP
+        self.figure = Figure(figsize=_inches(_WIDTH, height), dpi=_DPI)
+        self._canvas = FigureCanvasAgg(self.figure)
+        self._axes = axes = self.figure.add_axes((_LEFT / _WIDTH, _BOTTOM / height, across / _WIDTH, up / height))
+        axes.set(xlim=(-self._half_width, self._half_width), ylim=(-half_height, half_height), aspect="equal")
+        axes.set(xlabel="position [m]", ylabel="height [m]")
+        axes.xaxis.set_major_locator(MaxNLocator(6, steps=_STEPS))
+        axes.yaxis.set_major_locator(MaxNLocator(5, steps=_STEPS))
+        axes.xaxis.set_label_coords(0.5, -26 / up)
+        axes.yaxis.set_label_coords(-40 / across, 0.5)
+        axes.spines[["top", "right"]].set_visible(False)
+
+        floor, self._end = -self._cart_height / 2, track + self._cart_width / 2
+        self._rail = Line2D([], [], color=GREY, lw=2, solid_capstyle="butt", gid="track")
+        stop = {"width": 0.03 * reach, "height": 0.2 * reach, "color": GREY, "gid": "track end"}
+        right, left = Rectangle((self._end, floor), **stop), Rectangle((-self._end - stop["width"], floor), **stop)
+        self._cart = Rectangle((0, floor), self._cart_width, self._cart_height, color=DARK, gid="cart")
+        self._arrow = FancyArrow(0, 0, 0, 0, length_includes_head=True, color=GREEN, gid="force")
+        bar: dict[str, Any] = {"lw": 7, "solid_capstyle": "round"}
+        self._links = (
+            Line2D([], [], color=BLUE, gid="link 1", **bar),
+            Line2D([], [], color=VERMILLION, gid="link 2", **bar),
+        )
+        dot: dict[str, Any] = {"ls": "", "marker": "o", "ms": 7, "mec": DARK, "mew": 1.5}
+        self._joints, self._tip = Line2D([], [], mfc="white", **dot), Line2D([], [], mfc=DARK, gid="tip", **dot)
+        ends = [left, right] if math.isfinite(track) else []
+        bodies = [self._rail, *ends, self._cart, self._arrow, *self._links, self._joints, self._tip]
+        for order, body in enumerate(bodies, start=1):
+            body.set_zorder(order)
+            axes.add_artist(body)
+        above = 1 - 0.5 * _TOP / height
+        self._time = self.figure.text(_LEFT / _WIDTH, above, "", ha="left", va="center")
+        self._force = self.figure.text(1 - _RIGHT / _WIDTH, above, "", ha="right", va="center", color=GREEN)
+        # What moves is drawn over a kept background, so that a picture takes a few milliseconds.
+        self._moving: list[Artist] = [*bodies, self._time, self._force, *([axes.xaxis] if self._follows else [])]
+        for artist in self._moving:
+            artist.set_animated(True)
+        self._canvas.draw()
+        self._background: Any = self._canvas.copy_from_bbox(self.figure.bbox)
+        self._window: tuple[Figure, Any] | None = None
+
+    def rgb(self, x: npt.ArrayLike, force: float = 0.0, *, time: float | None = None) -> Pixels:
+        """Give the picture of a state.
+
+        Parameters
+        ----------
+        x : array_like (6,)
+            The state.
+        force : float
+            Force on the cart, N.
+        time : float, optional
+            Time to write above the picture, s.
+
+        Returns
+        -------
+        ndarray (H, W, 3)
+            Red, green and blue, ``uint8``; always of the same size, both sides even.
+
+        Raises
+        ------
+        ValueError
+            If the state is not six finite numbers, or the force not a finite one.
+        """
+        state = as_states(x, 1)[0]
+        if not math.isfinite(force):
+            raise ValueError(f"force must be a finite number in N; got {force!r}.")
+        self._place(state, float(force), time)
+        self._canvas.restore_region(self._background)
+        for artist in self._moving:
+            self.figure.draw_artist(artist)
+        return np.array(np.asarray(self._canvas.buffer_rgba())[..., :3])
+
+    def _place(self, state: Array, force: float, time: float | None) -> None:
+        place = positions(state, self._params)
+        if self._follows:
+            self._axes.set_xlim(state[0] - self._half_width, state[0] + self._half_width)
+        left, right = self._axes.get_xlim()
+        self._rail.set_data([max(left, -self._end), min(right, self._end)], [-self._cart_height / 2] * 2)
+        x, y = [state[0], place.x_joint, place.x_tip], [0.0, place.y_joint, place.y_tip]
+        self._cart.set_x(state[0] - self._cart_width / 2)
+        length = min(abs(force) * self._metres_per_newton, self._longest)
+        head = min(self._cart_height, length)
+        self._arrow.set_visible(length > 0)
+        self._arrow.set_data(
+            x=state[0] + math.copysign(self._cart_width / 2, force),
+            y=0.0,
+            dx=math.copysign(length, force),
+            dy=0.0,
+            width=0.25 * self._cart_height,
+            head_width=0.75 * head,
+            head_length=head,
+        )
+        self._links[0].set_data(x[:2], y[:2])
+        self._links[1].set_data(x[1:], y[1:])
+        self._joints.set_data(x[:2], y[:2])
+        self._tip.set_data(x[2:], y[2:])
+        self._time.set_text("" if time is None else f"t = {time:.2f} s")
+        self._force.set_text(f"force {round(force, 1) + 0.0:+.1f} N".replace("-", "\N{MINUS SIGN}"))
+
+    def show(self, x: npt.ArrayLike, force: float = 0.0, *, time: float | None = None) -> None:
+        """Show a state in a window, which opens where there is none and is otherwise updated; does not wait.
+
+        Parameters
+        ----------
+        x, force, time
+            See :meth:`rgb`.
+
+        Raises
+        ------
+        RuntimeError
+            If matplotlib can open no window.
+        ValueError
+            If the state is not six finite numbers, or the force not a finite one.
+        """
+        from matplotlib import pyplot
+
+        pixels = self.rgb(x, force, time=time)
+        if self._window is None or not pyplot.fignum_exists(cast(Any, self._window[0]).number):
+            self._window = _open_window(pixels)
+        figure, image = self._window
+        image.set_data(pixels)
+        figure.canvas.draw()
+        cast(Any, figure.canvas).flush_events()
+
+    def close(self) -> None:
+        """Close the window, if one is open."""
+        if self._window is not None:
+            from matplotlib import pyplot
+
+            pyplot.close(self._window[0])
+            self._window = None
+
+
+def _inches(width: int, height: int) -> tuple[float, float]:
+    """Give the size of a figure of so many pixels; matplotlib rounds down, so a hair is added."""
+    return (width + 1e-6) / _DPI, (height + 1e-6) / _DPI
+
+
+def _open_window(pixels: Pixels) -> tuple[Figure, Any]:
+    """Open a window on an image of that size; give its figure and the image."""
+    from matplotlib import pyplot
+
+    height, width, _ = pixels.shape
+    try:
+        figure = pyplot.figure(figsize=_inches(width, height), dpi=_DPI)
+    except ImportError as error:  # the backend that was asked for does not run here
+        raise RuntimeError(_NO_WINDOW.format(pyplot.get_backend())) from error
+    if figure.canvas.required_interactive_framework is None:
+        pyplot.close(figure)
+        raise RuntimeError(_NO_WINDOW.format(pyplot.get_backend()))
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.axis("off")
+    image = axes.imshow(pixels)
+    figure.show()
+    return figure, image
+
+
+def plot_run(run: Run) -> Figure:
+    """Draw a run against time: position, angles, their rates, and the force as it was held.
+
+    The ends of the track and the limit of the force are drawn where the signal comes near them, and named either way.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        16 cm wide; it belongs to the caller alone, and ``figure.savefig(path)`` writes it.
+    """
+    figure = Figure(figsize=(6.3, 7.6), layout="constrained")
+    panels = cast("list[Axes]", list(figure.subplots(5, 1, sharex=True)))
+    labels = ("position [m]", "angles [rad]", "velocity [m/s]", "rates [rad/s]", "force [N]")
+    dot = "o" if len(run.t) == 1 else ""  # a line through one point cannot be seen
+    for axes, label, columns in zip(panels, labels, ((0,), (1, 2), (3,), (4, 5), ()), strict=True):
+        styles = [(DARK, "-", "cart")] if len(columns) == 1 else [(BLUE, "-", "link 1"), (VERMILLION, "--", "link 2")]
+        for column, (color, style, name) in zip(columns, styles, strict=False):
+            axes.plot(run.t, run.x[:, column], style, color=color, label=name, lw=1.4, marker=dot)
+        axes.set_ylabel(label)
+        axes.yaxis.set_major_locator(MaxNLocator(4, steps=_STEPS))
+        axes.grid(color="0.9")
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    if len(run.u):
+        panels[4].stairs(run.u, run.t, baseline=None, color=GREEN, lw=1.4, zorder=3, label="applied")
+    _draw_limit(panels[0], run.x[:, 0], float(run.rig.track_limit), "track end ±{:g} m")
+    _draw_limit(panels[4], run.u, float(run.rig.force_limit), "limit ±{:g} N")
+    for axes in panels:
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="lower right", bbox_to_anchor=(1, 0.97), ncols=2, frameon=False, fontsize="small")
+    figure.align_ylabels(panels)
+    panels[-1].set_xlabel("time [s]")
+    figure.suptitle("\n".join([*textwrap.wrap(run.controller, 60), run.status.value]), fontsize="medium")
+    return figure
+
+
+def _draw_limit(axes: Axes, signal: Array, limit: float, label: str) -> None:
+    """Draw both limits; where the signal stays far from them they stay out of view, so as not to flatten it."""
+    if not math.isfinite(limit):
+        return
+    near = np.abs(signal[np.isfinite(signal)]).max(initial=0.0) > limit / 4
+    low, high = (-1.08 * limit, 1.08 * limit) if near else axes.get_ylim()
+    for sign in (1, -1):
+        axes.axhline(sign * limit, color=GREY, ls=":", lw=1.4, label=label.format(limit) if sign == 1 else None)
+    axes.set_ylim(low, high)
+
+
+def animate_run(run: Run, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Path:
+    """Write a film of a run, with time and force above the picture.
+
+    Parameters
+    ----------
+    run : Run
+        The run; each picture shows its last sample before that moment.
+    path : str or Path
+        Where to; the suffix, ``.gif`` or ``.mp4``, chooses the format.
+    fps : float
+        Pictures per second.  A GIF counts in hundredths of a second and shows at most 50, so it takes the nearest
+        that it can hold; it plays at the right speed all the same.
+    speed : float
+        Seconds of the run in a second of film.
+
+    Returns
+    -------
+    Path
+        The file; it appears under its name only when it is complete.
+
+    Raises
+    ------
+    ValueError
+        If the suffix is another, or ``fps`` or ``speed`` is not finite and greater than zero.
+    RuntimeError
+        If an MP4 is asked for and there is no ffmpeg, or ffmpeg fails.
+    OSError
+        If the folder cannot be written to; before anything is drawn.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (".gif", ".mp4"):
+        raise ValueError(f"The suffix chooses the format: expected a path ending in .gif or .mp4; got {str(path)!r}.")
+    for name, number, unit in (("fps", fps, "pictures per second"), ("speed", speed, "seconds of the run per second")):
+        if not (math.isfinite(number) and number > 0):
+            raise ValueError(f"{name} must be finite and greater than 0, in {unit}; got {number!r}.")
+    ffmpeg = _find_ffmpeg() if suffix == ".mp4" else ""
+    if suffix == ".gif":
+        centiseconds = min(max(round(100 / fps), 2), 65535)  # players slow down what is shorter, the format ends there
+        fps = 100 / centiseconds
+    if path.is_dir():
+        raise IsADirectoryError(f"Cannot write the film: {path} is a folder.")
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.touch()
+    except OSError as error:
+        raise type(error)(f"Cannot write the film into the folder {path.parent}: {error.strerror}.") from error
+    try:
+        picture = Picture(run.rig)
+        frames = _frames(run, picture, speed / fps)
+        if suffix == ".gif":
+            colorful = picture.rgb([0.0, 0.5, -1.0, 0.0, 0.0, 0.0], force=1e6)
+            _write_gif(part, frames, colorful, milliseconds=round(1000 / fps))
+        else:
+            _write_mp4(part, frames, fps, ffmpeg)
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def _frames(run: Run, picture: Picture, step: float) -> Iterator[Pixels]:
+    """Draw the run every ``step`` seconds, and at its end: each time the last sample that was not in the future."""
+    duration = run.t[-1] - run.t[0]
+    times = run.t[0] + np.minimum(step * np.arange(math.ceil(duration / step - 1e-6) + 1), duration)
+    samples = np.searchsorted(run.t, times + 1e-6 * run.rig.sample_time, side="right") - 1
+    last = np.flatnonzero(np.isfinite(run.x).all(axis=1))[-1]  # a run that ended for want of numbers has no last state
+    for sample in np.minimum(samples, last):
+        force = float(run.u[min(sample, len(run.u) - 1)]) if len(run.u) else 0.0
+        yield picture.rgb(run.x[sample], force if math.isfinite(force) else 0.0, time=float(run.t[sample]))
+
+
+def _write_gif(path: Path, frames: Iterable[Pixels], colorful: Pixels, milliseconds: int) -> None:
+    """Write frames as a GIF that loops, all with the one palette of a picture that has every colour in it."""
+    counted = cast("list[tuple[int, tuple[int, int, int]]]", Image.fromarray(colorful).getcolors(1 << 24))
+    commonest: dict[tuple[int, int, int], tuple[int, int, int]] = {}  # of colours that hardly differ
+    for _, (r, g, b) in sorted(counted, reverse=True):
+        commonest.setdefault((r // 8, g // 8, b // 8), (r, g, b))
+    palette = Image.new("P", (1, 1))
+    palette.putpalette([channel for color in [*commonest.values()][:256] for channel in color])
+    images = (Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+    with path.open("wb") as file:
+        next(images).save(file, "GIF", save_all=True, append_images=images, duration=milliseconds, loop=0)
+
+
+def _find_ffmpeg() -> str:
+    """Give ffmpeg's path, from the system or from the package imageio-ffmpeg.
+
+    Raises
+    ------
+    RuntimeError
+        If there is none.
+    """
+    system = shutil.which("ffmpeg")
+    if system is not None:
+        return system
+    try:
+        return importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe()
+    except (ImportError, RuntimeError) as error:
+        raise RuntimeError(
+            "Writing an MP4 needs ffmpeg, which was not found: install it, for instance with "
+            "python -m pip install imageio-ffmpeg, or write a .gif."
+        ) from error
+
+
+def _write_mp4(path: Path, frames: Iterable[Pixels], fps: float, ffmpeg: str) -> None:
+    """Pipe frames through ffmpeg, with its own choice of encoder and colours that every player knows.
+
+    Raises
+    ------
+    RuntimeError
+        If ffmpeg fails; with its own words.
+    """
+    frames = iter(frames)
+    first = next(frames)
+    height, width, _ = first.shape
+    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-framerate", f"{fps:.9g}", "-i", "-"]
+    mp4 = ["-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", "-y", str(path.absolute())]
+    command = [ffmpeg, "-loglevel", "error", *raw, *mp4]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    assert process.stdin is not None
+    with process:
+        with contextlib.suppress(BrokenPipeError):  # a pipe breaks when ffmpeg gives up; it says why
+            process.stdin.write(first.tobytes())
+            for frame in frames:
+                process.stdin.write(frame.tobytes())
+        _, words = process.communicate()
+    if process.returncode:
+        raise RuntimeError(f"ffmpeg could not write the film: {words.decode(errors='replace').strip()}")

@@ -1,0 +1,474 @@
+"""The Gymnasium environments ``dpend/Balance-v0`` and ``dpend/SwingUp-v0``: one rig, one agent, one episode at a time.
+
+What single and vector environments share is stated here: the spaces, what an action means, what is observed, and when
+an episode counts as a success.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from gymnasium.error import InvalidAction, ResetNeeded
+
+from .params import Array
+from .rig import Rig, suggestion
+from .rig import rig as preset
+from .state import as_states
+from .stepper import Stepper
+from .tasks import Balance, Status, SwingUp, Task
+
+_MESSAGES = tuple(status.value for status in Status)
+
+# As good as none: no state goes so far and stays a number.  Infinite bounds would say the same, but Gymnasium's
+# checker warns of them.
+_FAR = float(np.finfo(np.float32).max)
+_OWN_KEYWORDS = ("rig", "forces", "observation", "render_mode")
+
+_AnyTask = TypeVar("_AnyTask", Balance, SwingUp)
+
+
+class CartDoublePendulumEnv(gym.Env[Array, Any]):
+    """A cart with two links, one sample a step, over :class:`dpend.Stepper`.
+
+    The observation is what the rig's sensors measure.  The reward is minus the task's cost of the true state after the
+    step; the episode is terminated when the task says that it failed, and truncated, by the environment itself, when it
+    has the task's length.  ``info`` holds the true ``"state"`` (6,) and the applied ``"force"`` in N, and in the last
+    step of an episode the ``"status"``, a sentence that says how it ended, and the ``"success"``, a bool.
+
+    ``reset(seed=s)`` restarts all random numbers, the noise of :func:`dpend.simulate` with ``seed=s`` included; without
+    a seed they go on.  ``reset(options={"x0": x0})`` starts at a state (6,).
+
+    Parameters
+    ----------
+    task : Task
+        Where episodes start, what they cost, when they end.
+    rig : Rig or str
+        The rig, or the name of a preset.
+    forces : array_like (k,), optional
+        Forces in N to choose from; an action is then the index of one.  Left out, an action is an array (1,): the share
+        of the force limit, within [-1, 1]; what lies beyond is cut off by the actuator.
+    observation : {"raw", "trig"}
+        The measured state (pos, th1, th2, vel, om1, om2), or (pos, sin th1, cos th1, sin th2, cos th2, vel, om1, om2).
+    render_mode : {"human", "rgb_array"}, optional
+        A window that follows the episode, or pictures ``(H, W, 3)`` from :meth:`render`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is wrong; the message says what was expected.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
+
+    def __init__(
+        self,
+        task: Task,
+        rig: Rig | str,
+        *,
+        forces: npt.ArrayLike | None = None,
+        observation: str = "raw",
+        render_mode: str | None = None,
+    ) -> None:
+        self.task = checked_task(task)
+        self.rig = checked_rig(rig)
+        if self.rig.n is not None:
+            raise ValueError(
+                f"An environment has one rig; this one describes {self.rig.n}. Take one of them with rig.rows(i), or "
+                "all in a vector environment."
+            )
+        self._forces = checked_forces(forces, self.rig)
+        self.action_space = action_space(self._forces)
+        self.observation_space = observation_space(observation)
+        self._trig = observation == "trig"
+        check_render_mode(render_mode, self.metadata["render_modes"])
+        self.render_mode = render_mode
+        self.metadata = self.metadata | {"render_fps": frames_per_second(self.rig)}
+        self._force_limit = float(self.rig.force_limit)
+        self._length = math.inf if self.task.steps is None else self.task.steps
+        self._watch_upright = self.task.hold > 0
+        self._stepper: Stepper | None = None
+        self._picture: Any = None
+        self._steps = 0
+        self._held = 0
+        self._over: str | None = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Begin an episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Restarts all random numbers.
+        options : dict, optional
+            ``{"x0": state}`` starts there (6,) rather than where the task draws.
+
+        Returns
+        -------
+        tuple
+            Observation and info.
+
+        Raises
+        ------
+        ValueError
+            If an option is unknown, or the state is none, or the task would end there.
+        """
+        check_options(options, ("x0",))
+        x0 = None
+        if options and "x0" in options:
+            x0 = as_states(options["x0"], 1)
+            check_starts(x0, self.task, self.rig)
+        super().reset(seed=seed)
+        if self._stepper is None or seed is not None:
+            self._stepper = Stepper(self.rig, 1, noise_seed(self))
+        y = self._stepper.reset(self.task.starts(self.np_random, 1, self.rig) if x0 is None else x0)
+        self._steps = 0
+        self._held = 0 if not self._watch_upright or self.task.upright(self._stepper.x)[0] else -1
+        self._over = None
+        if self.render_mode == "human":
+            self.render()
+        return with_sines(y)[0] if self._trig else y[0], {"state": self._stepper.x.flatten(), "force": 0.0}
+
+    def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+        """Hold a force for one sample.
+
+        Parameters
+        ----------
+        action : array_like (1,) or int
+            Share of the force limit, or index of a force.
+
+        Returns
+        -------
+        tuple
+            Observation, reward, terminated, truncated, info.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            If no episode is going on.
+        gymnasium.error.InvalidAction
+            If the action is not finite, of another shape, or not the index of a force.
+        """
+        stepper = self._stepper
+        if stepper is None:
+            raise ResetNeeded("There is no episode yet: call reset() before step().")
+        if self._over is not None:
+            raise ResetNeeded(f"The episode is over: {self._over} Call reset() before the next step().")
+        y = stepper.step([self._force(action)])
+        x = stepper.x
+        codes = self.task.ended(x, self.rig)
+        reward = -self.task.cost(x, codes).item()
+        terminated = codes.item() != 0
+        self._steps += 1
+        truncated = self._steps >= self._length
+        if self._watch_upright:
+            self._held = self._held + 1 if self.task.upright(x)[0] else -1
+        info: dict[str, Any] = {"state": x.flatten(), "force": stepper.force.item()}
+        if terminated or truncated:
+            self._over = _MESSAGES[codes[0]]
+            info["status"] = self._over
+            info["success"] = bool(not terminated and held_long_enough(self._held, self.task, self.rig))
+        if self.render_mode == "human" and np.isfinite(x).all():
+            self.render()
+        return with_sines(y)[0] if self._trig else y[0], reward, terminated, truncated, info
+
+    def _force(self, action: Any) -> float:
+        """Give the force in N that an action asks for."""
+        if self._forces is None:
+            share = np.asarray(action)
+            if share.shape == (1,) and share.dtype.kind in "fiu" and math.isfinite(number := share.item()):
+                return number * self._force_limit
+            raise InvalidAction(
+                "An action is a share of the force limit: expected an array of shape (1,) with a finite number, "
+                f"-1 to 1; got {action!r}."
+            )
+        try:
+            index = operator.index(action)
+        except TypeError:
+            index = -1
+        if not 0 <= index < len(self._forces):
+            raise InvalidAction(
+                f"An action is the index of a force: expected a whole number, 0 to {len(self._forces) - 1}; "
+                f"got {action!r}."
+            )
+        return float(self._forces[index])
+
+    def render(self) -> npt.NDArray[np.uint8] | None:  # type: ignore[override]
+        """Draw the true state and the applied force.
+
+        Returns
+        -------
+        ndarray (H, W, 3) or None
+            The picture where ``render_mode`` is ``"rgb_array"``.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            If there is no state to draw.
+        """
+        if self.render_mode is None:
+            gym.logger.warn('There is no render_mode to render in: make the environment with render_mode="rgb_array".')
+            return None
+        if self._stepper is None:
+            raise ResetNeeded("There is no episode yet: call reset() before render().")
+        if self._picture is None:
+            from .draw import Picture  # matplotlib loads with the first picture
+
+            self._picture = Picture(self.rig)
+        draw = self._picture.show if self.render_mode == "human" else self._picture.rgb
+        return draw(self._stepper.x[0], float(self._stepper.force[0]))
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._picture is not None:
+            self._picture.close()
+            self._picture = None
+
+
+def balance(
+    rig: Rig | str = "gustafsson2016",
+    *,
+    forces: npt.ArrayLike | None = None,
+    observation: str = "raw",
+    render_mode: str | None = None,
+    **task: Any,
+) -> CartDoublePendulumEnv:
+    """Make ``dpend/Balance-v0``: keep both links up.
+
+    Parameters
+    ----------
+    rig, forces, observation, render_mode
+        See :class:`CartDoublePendulumEnv`.
+    **task
+        Parameters of :class:`dpend.Balance`, and no others.
+
+    Returns
+    -------
+    CartDoublePendulumEnv
+
+    Raises
+    ------
+    TypeError
+        If a parameter is unknown; the message suggests the nearest.
+    ValueError
+        If a value is out of its range.
+    """
+    chosen = task_from(Balance, task, _OWN_KEYWORDS)
+    return CartDoublePendulumEnv(chosen, rig, forces=forces, observation=observation, render_mode=render_mode)
+
+
+def swing_up(
+    rig: Rig | str = "gustafsson2016",
+    *,
+    forces: npt.ArrayLike | None = None,
+    observation: str = "raw",
+    render_mode: str | None = None,
+    **task: Any,
+) -> CartDoublePendulumEnv:
+    """Make ``dpend/SwingUp-v0``: bring both links up and keep them there.
+
+    Parameters
+    ----------
+    rig, forces, observation, render_mode
+        See :class:`CartDoublePendulumEnv`.
+    **task
+        Parameters of :class:`dpend.SwingUp`, and no others.
+
+    Returns
+    -------
+    CartDoublePendulumEnv
+
+    Raises
+    ------
+    TypeError
+        If a parameter is unknown; the message suggests the nearest.
+    ValueError
+        If a value is out of its range.
+    """
+    chosen = task_from(SwingUp, task, _OWN_KEYWORDS)
+    return CartDoublePendulumEnv(chosen, rig, forces=forces, observation=observation, render_mode=render_mode)
+
+
+def task_from(kind: type[_AnyTask], parameters: Mapping[str, Any], others: tuple[str, ...]) -> _AnyTask:
+    """Build a task from keywords.
+
+    Parameters
+    ----------
+    kind : type
+        ``Balance`` or ``SwingUp``.
+    parameters : mapping
+        Its parameters by name.
+    others : tuple of str
+        What else the caller takes, to be suggested where it is near.
+
+    Raises
+    ------
+    TypeError
+        If the task has no parameter of that name; the message suggests the nearest.
+    """
+    known = {field.name for field in fields(kind)}
+    for name in parameters:
+        if name not in known:
+            raise TypeError(
+                f"A {kind.__name__} environment has no parameter {name!r}.{suggestion(name, known | set(others))}"
+            )
+    return kind(**parameters)
+
+
+def checked_task(task: Task) -> Task:
+    """Refuse what is not a task, a class of tasks included.
+
+    Raises
+    ------
+    TypeError
+        If it is a class, or lacks what a task has.
+    """
+    if isinstance(task, type):
+        raise TypeError(f"Expected a task such as dpend.Balance(); got the class {task.__name__}. Call it first.")
+    if not all(hasattr(task, name) for name in ("steps", "hold", "starts", "ended", "upright", "cost")):
+        raise TypeError(f"Expected a task such as dpend.Balance(); got {task!r}.")
+    return task
+
+
+def checked_rig(rig: Rig | str) -> Rig:
+    """Give the rig, or the preset of that name.
+
+    Raises
+    ------
+    TypeError
+        If it is neither a rig nor a name.
+    ValueError
+        If no preset has that name; the message suggests the nearest.
+    """
+    if isinstance(rig, str):
+        return preset(rig)
+    if not isinstance(rig, Rig):
+        raise TypeError(f"rig must be a dpend.Rig or the name of a preset; got {rig!r}.")
+    return rig
+
+
+def checked_forces(forces: npt.ArrayLike | None, rig: Rig) -> Array | None:
+    """Give the forces that discrete actions choose from, or None for continuous actions.
+
+    Raises
+    ------
+    ValueError
+        If the forces are not two or more finite numbers within the force limit; or, without forces, if there is no
+        force limit of which an action could be a share.
+    """
+    limit = float(np.min(rig.force_limit))
+    if forces is None:
+        if not np.isfinite(rig.force_limit).all():
+            raise ValueError(
+                f"A continuous action is a share of the force limit: expected a finite one; got {rig.force_limit!r}. "
+                "Set it with rig.replace(force_limit=...), in N, or give forces=[...] to choose from."
+            )
+        return None
+    try:
+        array = np.array(forces, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.array(np.nan)
+    if array.ndim != 1 or len(array) < 2 or not (np.isfinite(array) & (np.abs(array) <= limit)).all():
+        raise ValueError(
+            "forces must be two or more finite numbers in N, within the force limit of "
+            f"{limit:g} N; got {forces!r}. More than the limit is never applied."
+        )
+    array.setflags(write=False)
+    return array
+
+
+def action_space(forces: Array | None) -> spaces.Space[Any]:
+    """Give the space of indices of forces, or of shares of the force limit."""
+    return spaces.Box(-1.0, 1.0, (1,), dtype=np.float32) if forces is None else spaces.Discrete(len(forces))
+
+
+def observation_space(observation: str) -> spaces.Space[Array]:
+    """Give the space of observations.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind of observation.
+    """
+    if observation == "raw":
+        high = np.full(6, _FAR)
+    elif observation == "trig":
+        high = np.array([_FAR, 1.0, 1.0, 1.0, 1.0, _FAR, _FAR, _FAR])
+    else:
+        raise ValueError(f'observation must be "raw" or "trig"; got {observation!r}.')
+    return spaces.Box(-high, high, dtype=np.float64)  # type: ignore[return-value]  # Box does not know its own dtype
+
+
+def with_sines(y: Array) -> Array:
+    """Give (pos, sin th1, cos th1, sin th2, cos th2, vel, om1, om2), ``(n, 8)``, of states ``(n, 6)``."""
+    out = np.empty((len(y), 8))
+    out[:, 0] = y[:, 0]
+    out[:, 5:] = y[:, 3:]
+    with np.errstate(invalid="ignore"):  # an infinite angle ends the episode as it is
+        np.sin(y[:, 1:3], out=out[:, 1:4:2])
+        np.cos(y[:, 1:3], out=out[:, 2:5:2])
+    return out
+
+
+def check_render_mode(render_mode: str | None, known: list[str]) -> None:
+    """Refuse a way of rendering that there is not.
+
+    Raises
+    ------
+    ValueError
+        Unless it is None or known.
+    """
+    if render_mode is not None and render_mode not in known:
+        raise ValueError(f"render_mode must be None or one of {', '.join(map(repr, known))}; got {render_mode!r}.")
+
+
+def frames_per_second(rig: Rig) -> int:
+    """Give the number of samples in a second, at least one: a film of all of them runs at the true speed."""
+    return max(1, round(1 / rig.sample_time))
+
+
+def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> None:
+    """Refuse options of a reset that there are not.
+
+    Raises
+    ------
+    ValueError
+        If one is unknown; the message suggests the nearest.
+    """
+    for name in options or ():
+        if name not in known:
+            raise ValueError(f"reset has no option {name!r}.{suggestion(str(name), known)}")
+
+
+def check_starts(x0: Array, task: Task, rig: Rig) -> None:
+    """Refuse initial states ``(n, 6)`` in which the episode would be over.
+
+    Raises
+    ------
+    ValueError
+        If the task ends in one of them.
+    """
+    codes = task.ended(x0, rig)
+    if codes.any():
+        row = int(np.flatnonzero(codes)[0])
+        raise ValueError(f"An episode cannot start where it ends; got x0 = {x0[row].tolist()}: {_MESSAGES[codes[row]]}")
+
+
+def noise_seed(env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]) -> int:
+    """Give what the noise is drawn from: the environment's seed, or a number from the generator that was put there."""
+    seed = env.np_random_seed
+    if not isinstance(seed, int) or seed < 0:  # Gymnasium's sign of a generator whose seed it does not know
+        return int(env.np_random.integers(2**63))
+    return seed
+
+
+def held_long_enough(held: Any, task: Task, rig: Rig) -> Any:
+    """Tell whether so many samples since the links were last not upright, -1 where they are not, make a success."""
+    return held * rig.sample_time >= task.hold - 1e-9

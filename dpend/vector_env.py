@@ -1,0 +1,492 @@
+"""The Gymnasium vector environments: many copies of ``dpend/Balance-v0`` or ``dpend/SwingUp-v0`` over one stepper."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import numpy.typing as npt
+from gymnasium.error import InvalidAction, ResetNeeded
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+from .env import (
+    action_space,
+    check_options,
+    check_render_mode,
+    check_starts,
+    checked_forces,
+    checked_rig,
+    checked_task,
+    frames_per_second,
+    held_long_enough,
+    noise_seed,
+    observation_space,
+    task_from,
+    with_sines,
+)
+from .kernels import compiled
+from .params import Array
+from .rig import Rig
+from .state import as_states
+from .stepper import Stepper
+from .tasks import Balance, SwingUp, Task
+
+Flags = npt.NDArray[np.bool_]
+Indices = npt.NDArray[np.intp]
+
+_MOST_PICTURES = 64
+_OWN_KEYWORDS = ("num_envs", "rig", "forces", "observation", "autoreset_mode", "render_mode")
+
+
+@compiled
+def _pick(forces, indices, picked):
+    """Fill in the force of every index, and tell whether there is one for each."""
+    last = len(forces) - 1
+    good = True
+    for i in range(len(indices)):
+        good &= (indices[i] >= 0) & (indices[i] <= last)
+        picked[i] = forces[min(max(indices[i], 0), last)]
+    return good
+
+
+@compiled
+def _tally(codes, costs, begun, length, steps, rewards, terminated, truncated, over):
+    """Count a sample, fill in what it brought, and which copies it ended; give their number.
+
+    To copies that have just begun it brought nothing.
+    """
+    for i in range(len(codes)):
+        steps[i] += 1
+        rewards[i] = -costs[i]
+        terminated[i] = codes[i] != 0
+        truncated[i] = steps[i] >= length
+    for i in begun:
+        codes[i] = 0
+        steps[i] = 0
+        rewards[i] = 0.0
+        terminated[i] = False
+        truncated[i] = False
+    count = 0
+    for i in range(len(codes)):
+        if terminated[i] | truncated[i]:
+            over[count] = i
+            count += 1
+    return count
+
+
+class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[Any]]):
+    """Copies of :class:`~dpend.env.CartDoublePendulumEnv`, stepped together.
+
+    Observations ``(n, 6)`` or ``(n, 8)``, rewards ``(n,)`` and flags ``(n,)`` are those of single environments in
+    Gymnasium's ``SyncVectorEnv``; a copy does, bit for bit, what a single environment does from the same start.  Every
+    array returned belongs to the caller.  ``infos`` speaks of episodes that are over: ``"status"``, the place of what
+    ended them in ``list(dpend.Status)``, and ``"success"``, with the masks ``"_status"`` and ``"_success"``.  True
+    states and applied forces are attributes.
+
+    One generator draws the starts of all copies.  ``reset(seed=s)`` restarts all random numbers, the noise of
+    :func:`dpend.simulate_many` with ``seed=s`` included.  ``reset(options=...)`` takes ``"x0"``, one state (6,) or one
+    a copy (n, 6), and ``"reset_mask"``, a bool array (n,) that says which copies begin anew.
+
+    Parameters
+    ----------
+    task : Task
+        Where episodes start, what they cost, when they end.
+    rig : Rig or str
+        The rig, the name of a preset, or a rig with array fields (n,): one a copy.
+    num_envs : int
+        How many copies.
+    forces, observation
+        See :class:`~dpend.env.CartDoublePendulumEnv`; actions are ``(n,)`` indices or ``(n, 1)`` shares.
+    autoreset_mode : gymnasium.vector.AutoresetMode
+        When a copy that has ended begins anew: in the step after, whose action it ignores; in the same step, with the
+        last observation and info of the episode in ``infos["final_obs"]`` and ``infos["final_info"]``; or when told to.
+    render_mode : {"rgb_array"}, optional
+        Whether :meth:`render` gives pictures; for 64 copies at most.
+
+    Attributes
+    ----------
+    state : ndarray (n, 6)
+        The true states; new at each reading.
+    force : ndarray (n,)
+        The forces last applied, N; new at each reading.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If an argument is wrong; the message says what was expected.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": 50,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        task: Task,
+        rig: Rig | str,
+        num_envs: int = 1,
+        *,
+        forces: npt.ArrayLike | None = None,
+        observation: str = "raw",
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+    ) -> None:
+        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
+            raise ValueError(f"num_envs must be a whole number, at least 1; got {num_envs!r}.")
+        self.task = checked_task(task)
+        self.rig = checked_rig(rig)
+        if self.rig.n not in (None, num_envs):
+            raise ValueError(f"The rig describes {self.rig.n} rows; expected num_envs, which is {num_envs}.")
+        self.num_envs = int(num_envs)
+        self._forces = checked_forces(forces, self.rig)
+        self.single_action_space = action_space(self._forces)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.single_observation_space = observation_space(observation)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self._trig = observation == "trig"
+        check_render_mode(render_mode, self.metadata["render_modes"])
+        if render_mode is not None and num_envs > _MOST_PICTURES:
+            raise ValueError(
+                f"Rendering draws every copy: expected at most {_MOST_PICTURES} with render_mode={render_mode!r}; "
+                f"got num_envs={num_envs}."
+            )
+        self.render_mode = render_mode
+        try:
+            self._mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            modes = ", ".join(repr(mode.value) for mode in AutoresetMode)
+            raise ValueError(
+                f"autoreset_mode must be a gymnasium.vector.AutoresetMode or one of {modes}; got {autoreset_mode!r}."
+            ) from None
+        self.metadata = self.metadata | {
+            "render_fps": frames_per_second(self.rig),
+            "autoreset_mode": self._mode,
+        }
+        self._one_rig_a_copy = self.rig.n is not None
+        self._length = np.iinfo(np.int64).max if self.task.steps is None else self.task.steps
+        self._watch_upright = self.task.hold > 0
+        self._stepper: Stepper | None = None
+        self._pictures: list[Any] = []
+        self._steps = np.zeros(self.num_envs, dtype=np.int64)
+        self._held = np.zeros(self.num_envs, dtype=np.int64)
+        self._force_limits = np.full(self.num_envs, self.rig.force_limit)
+        self._over: Indices = np.empty(0, dtype=np.intp)
+        self._over_ahead: Indices = np.empty(self.num_envs, dtype=np.intp)
+        # The last measurements, for copies that a mask leaves alone; perfect sensors show the state, which is at hand.
+        self._imperfect = any(
+            np.any(field) for field in (self.rig.sensor_delay, self.rig.sensor_noise, self.rig.resolution)
+        )
+        self._seen = np.zeros((self.num_envs, 6))
+        self._ahead = np.empty((0, 6))
+        self._used = 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
+        """Begin an episode in every copy, or in those of a mask.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Restarts all random numbers; not together with a mask.
+        options : dict, optional
+            ``"x0"``: a state (6,), or one a copy (n, 6), to start at rather than where the task draws.
+            ``"reset_mask"``: a bool array (n,), at least one true; the other copies stay as they are.
+
+        Returns
+        -------
+        tuple
+            Observations of all copies, and an empty dict.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If an option is unknown or wrong, or an episode would end where it starts.
+        gymnasium.error.ResetNeeded
+            If there is a mask, and copies that never began.
+        """
+        check_options(options, ("x0", "reset_mask"))
+        options = options or {}
+        x0 = None
+        if "x0" in options:
+            x0 = as_states(options["x0"], self.num_envs)
+            check_starts(x0, self.task, self.rig)
+        mask = np.ones(self.num_envs, dtype=np.bool_)
+        if "reset_mask" in options:
+            mask = self._checked_mask(options["reset_mask"])
+            if seed is not None:
+                raise ValueError(
+                    "A seed restarts the random numbers of all copies, a reset_mask begins some: give one or the other."
+                )
+            if self._stepper is None:
+                raise ResetNeeded("There are no episodes yet: call reset() without a reset_mask first.")
+        super().reset(seed=seed)
+        if self._stepper is None or seed is not None:
+            self._stepper = Stepper(self.rig, self.num_envs, noise_seed(self))
+            self._ahead = self._ahead[:0]
+        rows = np.flatnonzero(mask)
+        y = self._begin(rows, None if x0 is None else x0[rows])
+        self._over = self._over[~mask[self._over]]
+        if self._imperfect:
+            self._seen[rows] = y
+        return self._observe(self._seen.copy() if self._imperfect else self.state), {}
+
+    def step(self, actions: Any) -> tuple[Array, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+        """Hold a force for one sample in every copy.
+
+        Parameters
+        ----------
+        actions : array_like (n, 1) or (n,)
+            Shares of the force limit, or indices of forces.
+
+        Returns
+        -------
+        tuple
+            Observations, rewards, terminated, truncated, infos.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            If there are no episodes yet, or a copy has ended that is not reset by itself.
+        gymnasium.error.InvalidAction
+            If actions are not finite, of another shape, or not indices of forces.
+        """
+        stepper = self._stepper
+        if stepper is None:
+            raise ResetNeeded("There are no episodes yet: call reset() before step().")
+        if self._mode is AutoresetMode.DISABLED and len(self._over):
+            raise ResetNeeded(
+                f"{len(self._over)} episodes are over, the first in copy {self._over[0]}: call "
+                'reset(options={"reset_mask": terminated | truncated}) before the next step().'
+            )
+        y = stepper.step(self._commands(actions))
+        codes = self.task.ended(stepper.x, self.rig)
+        costs = self.task.cost(stepper.x, codes)
+        if self._watch_upright:
+            self._held += 1
+            self._held[~self.task.upright(stepper.x)] = -1
+        begun = self._over  # none but with AutoresetMode.NEXT_STEP
+        if len(begun):
+            y[begun] = self._begin(begun)
+        rewards = np.empty(self.num_envs)
+        terminated = np.empty(self.num_envs, dtype=np.bool_)
+        truncated = np.empty(self.num_envs, dtype=np.bool_)
+        count = _tally(codes, costs, begun, self._length, self._steps, rewards, terminated, truncated, self._over_ahead)
+        self._over = over = self._over_ahead[:count].copy()
+        infos: dict[str, Any] = {}
+        if len(over):
+            success = truncated & ~terminated
+            if self._watch_upright:
+                success &= held_long_enough(self._held, self.task, self.rig)
+            done = terminated | truncated
+            ends = {"status": codes, "_status": done, "success": success, "_success": done.copy()}
+            if self._mode is AutoresetMode.SAME_STEP:
+                infos = self._finals(y, ends, done)
+                y[over] = self._begin(over)
+                self._over = over[:0]
+            else:
+                infos = ends
+        if self._imperfect:
+            self._seen[:] = y
+        return self._observe(y), rewards, terminated, truncated, infos
+
+    @property
+    def state(self) -> Array:
+        """The true states ``(n, 6)``; zero before the first reset."""
+        return np.zeros((self.num_envs, 6)) if self._stepper is None else self._stepper.x.copy()
+
+    @property
+    def force(self) -> Array:
+        """The forces last applied ``(n,)``, N; zero where an episode has just begun."""
+        return np.zeros(self.num_envs) if self._stepper is None else self._stepper.force.copy()
+
+    def _finals(self, y: Array, ends: dict[str, Any], done: Flags) -> dict[str, Any]:
+        """Give the last observations and infos of the episodes that are over."""
+        over = self._over
+        final_obs = np.empty(self.num_envs, dtype=object)
+        for row, seen in zip(over, self._observe(y[over]), strict=True):
+            final_obs[row] = seen.copy()
+        state, force = np.zeros((self.num_envs, 6)), np.zeros(self.num_envs)
+        state[over], force[over] = self.state[over], self.force[over]
+        final_info = {"state": state, "_state": done.copy(), "force": force, "_force": done.copy()} | ends
+        return {
+            "final_obs": final_obs,
+            "_final_obs": done.copy(),
+            "final_info": final_info,
+            "_final_info": done.copy(),
+        }
+
+    def _begin(self, rows: Indices, x0: Array | None = None) -> Array:
+        """Put some copies at the start of an episode; give their measurements."""
+        assert self._stepper is not None
+        if x0 is None:
+            x0 = self._starts(rows)
+        self._steps[rows] = 0
+        if self._watch_upright:
+            self._held[rows] = np.where(self.task.upright(x0), 0, -1)
+        return self._stepper.reset(x0, rows)
+
+    def _starts(self, rows: Indices) -> Array:
+        """Draw initial states; as many ahead as there are copies, since a few episodes end at every step."""
+        if self._one_rig_a_copy:
+            return self.task.starts(self.np_random, self.num_envs, self.rig)[rows]
+        self._used += len(rows)
+        if self._used > len(self._ahead):
+            self._ahead = self.task.starts(self.np_random, self.num_envs, self.rig)
+            self._used = len(rows)
+        return self._ahead[self._used - len(rows) : self._used]
+
+    def _commands(self, actions: Any) -> Array:
+        """Give the forces in N, ``(n,)``, that actions ask for."""
+        given = np.asarray(actions)
+        if self._forces is None:
+            if given.shape == (self.num_envs, 1) and given.dtype.kind in "fiu":
+                forces = given[:, 0].astype(np.float64)
+                forces *= self._force_limits
+                if np.isfinite(forces).all():
+                    return forces
+            raise InvalidAction(
+                f"Actions are shares of the force limit: expected an array of shape ({self.num_envs}, 1) with finite "
+                f"numbers, -1 to 1; got {_described(given)}."
+            )
+        if given.shape == (self.num_envs,) and given.dtype.kind in "iu":
+            forces = np.empty(self.num_envs)
+            if _pick(self._forces, given.astype(np.intp, copy=False), forces):
+                return forces
+        raise InvalidAction(
+            f"Actions are indices of forces: expected an array of shape ({self.num_envs},) with whole numbers, "
+            f"0 to {len(self._forces) - 1}; got {_described(given)}."
+        )
+
+    def _checked_mask(self, mask: Any) -> Flags:
+        """Refuse what is not a mask of copies, by the exceptions that Gymnasium has for it."""
+        if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+            raise TypeError(f"reset_mask must be a numpy array of bool; got {mask!r}.")
+        if mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(f"reset_mask must have shape ({self.num_envs},) and at least one true; got {mask!r}.")
+        return mask
+
+    def _observe(self, y: Array) -> Array:
+        return with_sines(y) if self._trig else y
+
+    def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
+        """Draw the true state of every copy and the force applied to it.
+
+        Returns
+        -------
+        tuple of ndarray (H, W, 3), or None
+            One picture a copy; None without a ``render_mode``.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            If there is no state to draw.
+        """
+        if self.render_mode is None:
+            gym.logger.warn('There is no render_mode to render in: make the environments with render_mode="rgb_array".')
+            return None
+        if self._stepper is None:
+            raise ResetNeeded("There are no episodes yet: call reset() before render().")
+        if not self._pictures:
+            from .draw import Picture  # matplotlib loads with the first picture
+
+            if self._one_rig_a_copy:
+                self._pictures = [Picture(self.rig.rows(row)) for row in range(self.num_envs)]
+            else:
+                self._pictures = [Picture(self.rig)] * self.num_envs
+        states = zip(self._pictures, self._stepper.x, self._stepper.force, strict=True)
+        return tuple(picture.rgb(x, float(force)) for picture, x, force in states)
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Let go of the pictures."""
+        self._pictures = []
+
+
+def _described(array: npt.NDArray[Any]) -> str:
+    """Say what an array of actions or flags is, in a few words."""
+    values = f", values {array.min():g} to {array.max():g}" if array.size and array.dtype.kind in "fiu" else ""
+    return f"shape {array.shape}, dtype {array.dtype}{values}"
+
+
+def balance_vector(
+    num_envs: int = 1,
+    rig: Rig | str = "gustafsson2016",
+    *,
+    forces: npt.ArrayLike | None = None,
+    observation: str = "raw",
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    render_mode: str | None = None,
+    **task: Any,
+) -> CartDoublePendulumVectorEnv:
+    """Make copies of ``dpend/Balance-v0``.
+
+    Parameters
+    ----------
+    num_envs, rig, forces, observation, autoreset_mode, render_mode
+        See :class:`CartDoublePendulumVectorEnv`.
+    **task
+        Parameters of :class:`dpend.Balance`, and no others.
+
+    Returns
+    -------
+    CartDoublePendulumVectorEnv
+
+    Raises
+    ------
+    TypeError
+        If a parameter is unknown; the message suggests the nearest.
+    ValueError
+        If a value is out of its range.
+    """
+    return CartDoublePendulumVectorEnv(
+        task_from(Balance, task, _OWN_KEYWORDS),
+        rig,
+        num_envs,
+        forces=forces,
+        observation=observation,
+        autoreset_mode=autoreset_mode,
+        render_mode=render_mode,
+    )
+
+
+def swing_up_vector(
+    num_envs: int = 1,
+    rig: Rig | str = "gustafsson2016",
+    *,
+    forces: npt.ArrayLike | None = None,
+    observation: str = "raw",
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    render_mode: str | None = None,
+    **task: Any,
+) -> CartDoublePendulumVectorEnv:
+    """Make copies of ``dpend/SwingUp-v0``.
+
+    Parameters
+    ----------
+    num_envs, rig, forces, observation, autoreset_mode, render_mode
+        See :class:`CartDoublePendulumVectorEnv`.
+    **task
+        Parameters of :class:`dpend.SwingUp`, and no others.
+
+    Returns
+    -------
+    CartDoublePendulumVectorEnv
+
+    Raises
+    ------
+    TypeError
+        If a parameter is unknown; the message suggests the nearest.
+    ValueError
+        If a value is out of its range.
+    """
+    return CartDoublePendulumVectorEnv(
+        task_from(SwingUp, task, _OWN_KEYWORDS),
+        rig,
+        num_envs,
+        forces=forces,
+        observation=observation,
+        autoreset_mode=autoreset_mode,
+        render_mode=render_mode,
+    )
