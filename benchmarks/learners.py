@@ -46,7 +46,8 @@ def best(work: Callable[[], int]) -> float:
 
 
 def main() -> None:
-    learn(), step_in_python()  # compile
+    learn()  # compiles
+    step_in_python()
     speeds = [(best(learn), best(step_in_python)) for _ in range(REPETITIONS)]
     learning, stepping = np.max(speeds, axis=0)
     table = Table("one core", "M steps/s", title=f"Best of {REPETITIONS} interleaved repetitions")

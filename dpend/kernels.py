@@ -39,9 +39,9 @@ def compiled(function: Callable[..., Any]) -> Any:
     sources = [here / name for name in ("equations.py", "params.py", "kernels.py")]
     if package != here:
         sources.append(package)
-    root = os.environ.get("NUMBA_CACHE_DIR") or Path.home() / ".cache" / "dpend"
+    root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path.home() / ".cache" / "dpend")
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    numba.config.CACHE_DIR = str(Path(root) / fingerprint(*sources))  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(root / fingerprint(*sources))  # type: ignore[attr-defined]
     try:
         return numba.njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # numba found no folder it may write to

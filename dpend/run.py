@@ -201,7 +201,8 @@ class Runs:
     time_up : ndarray (N,)
         When both links were up for good, s; NaN where they never were, or the task does not ask.
     step_time : ndarray (N, T)
-        Seconds that the controller took for each; a batched law's time is shared equally.
+        Seconds that the controller took for each; a batched law's time is shared equally
+        among all rows, and counts on until the last of its batch has ended.
     x, y : ndarray (N, T + 1, 6), optional
         True and measured states, where they were recorded.
     rig : Rig

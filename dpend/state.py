@@ -33,6 +33,11 @@ EQUILIBRIA = MappingProxyType(
 """The four equilibria by name, link 1 first: states ``(6,)`` with the cart in the middle."""
 
 
+def wrap_angle(angle):
+    r"""Give :math:`\theta - 2\pi\,\mathrm{round}(\theta/2\pi)` for a float, an array, or in compiled code."""
+    return angle - _TURN * np.rint(angle / _TURN)
+
+
 def wrap(angle: npt.ArrayLike) -> Array:
     r"""Give :math:`\theta - 2\pi\,\mathrm{round}(\theta/2\pi)`, the difference to the nearest whole turn.
 
@@ -46,8 +51,7 @@ def wrap(angle: npt.ArrayLike) -> Array:
     ndarray
         The same shape, within :math:`[-\pi, \pi]`.
     """
-    angle = np.asarray(angle, dtype=np.float64)
-    return angle - _TURN * np.rint(angle / _TURN)
+    return wrap_angle(np.asarray(angle, dtype=np.float64))
 
 
 def nearest_upright(x: npt.ArrayLike) -> Array:
@@ -64,7 +68,7 @@ def nearest_upright(x: npt.ArrayLike) -> Array:
         New states ``(..., 6)``, angles within one half turn of upright.
     """
     x = np.array(x, dtype=np.float64)
-    x[..., 1:3] -= _TURN * np.rint(x[..., 1:3] / _TURN)
+    x[..., 1:3] = wrap_angle(x[..., 1:3])
     return x
 
 

@@ -189,7 +189,7 @@ class Stepper:
         if self._commands is not None:
             command = self._commands.pass_on(command[:, None])[:, 0]
         if self._limited:
-            if self.n > 1:
+            if self.n != 1:
                 np.maximum(command, self._least, out=command)
                 np.minimum(command, self._most, out=command)
             elif abs(command.item()) > self._first_limit:  # for one number, a tenth of numpy's time

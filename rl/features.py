@@ -11,7 +11,7 @@ text lacks, follow from the pattern and from the code published with it.
 
 from __future__ import annotations
 
-import numpy as np
+from dpend.state import wrap_angle
 
 TABLE1 = (
     "|pos|",
@@ -39,18 +39,13 @@ CART_FEATURES = tuple(i for i, name in enumerate(TABLE1) if "pos" in name or "ve
 """Places in :data:`TABLE1` of the six features of position and velocity of the cart."""
 
 
-def nearest(angle):
-    """Give the report's normalAngle, the difference to the nearest whole turn, for floats, arrays, compiled loops."""
-    return angle - 2 * np.pi * np.rint(angle / (2 * np.pi))
-
-
-def make_value_features(nearest):
+def make_value_features(wrap_angle=wrap_angle):
     r"""Build :math:`\varphi(s)`, the twelve features that do not depend on the action.
 
     Parameters
     ----------
-    nearest : callable
-        :func:`nearest`, in the form the kind of number needs (numba wants it compiled).
+    wrap_angle : callable, optional
+        :func:`dpend.state.wrap_angle`, in the form the kind of number needs (numba wants it compiled).
 
     Returns
     -------
@@ -60,7 +55,7 @@ def make_value_features(nearest):
 
     def value_features(x):
         pos, th1, th2, vel, om1, om2 = x
-        n1, n2 = nearest(th1), nearest(th2)
+        n1, n2 = wrap_angle(th1), wrap_angle(th2)
         return abs(pos), pos, abs(n1), n1, abs(n2), n2, abs(vel), vel, abs(om1), om1, abs(om2), om2
 
     return value_features

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 import dpend
-from rl.features import CART_FEATURES, TABLE1, make_value_features, nearest, slope_features
+from rl.features import CART_FEATURES, TABLE1, make_value_features, slope_features
 from rl.linear_q import REPORT_FORCES
 from rl.policies import LinearQPolicy
 
 
 def features(x, a):
-    value = make_value_features(nearest)(x)
+    value = make_value_features()(x)
     return np.array([*value, *(a * slope for slope in slope_features(x))])
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import dpend
 from rl import LinearQLearning, LinearQPolicy, Outcome, load_policy
-from rl.features import make_value_features, nearest, slope_features
+from rl.features import make_value_features, slope_features
 
 RIG = dpend.rig("gustafsson2016")
 
@@ -20,7 +20,7 @@ def algorithm_1(learner, seed, episodes):
     stepper, task = dpend.Stepper(learner.rig, 1), learner.task
 
     def features(x, a):
-        return scales * np.array([*make_value_features(nearest)(x), *(a * slope for slope in slope_features(x))])
+        return scales * np.array([*make_value_features()(x), *(a * slope for slope in slope_features(x))])
 
     def greedy(x):
         return forces[int(np.argmax([w @ features(x, a) for a in forces]))]
