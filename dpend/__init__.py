@@ -15,8 +15,9 @@ from .rig import Rig, rig, rigs
 from .run import Run, Runs
 from .simulate import simulate, simulate_many
 from .state import EQUILIBRIA, NAMES, nearest_upright, wrap
+from .status import Status
 from .stepper import Stepper
-from .tasks import Balance, Status, SwingUp, Task
+from .tasks import Balance, SwingUp, Task
 
 __all__ = [
     "EQUILIBRIA",

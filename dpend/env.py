@@ -22,8 +22,9 @@ from .params import Array
 from .rig import Rig, suggestion
 from .rig import rig as preset
 from .state import as_states
+from .status import Status
 from .stepper import Stepper
-from .tasks import Balance, Status, SwingUp, Task
+from .tasks import Balance, SwingUp, Task
 
 _MESSAGES = tuple(status.value for status in Status)
 

@@ -1,4 +1,4 @@
-r"""The numba instances of the equations: one batched plant step, one scalar step.
+r"""The numba instances of the equations, one batched plant step and one scalar step; and loops that judge states.
 
 What makes the batch fast, each measured in ``benchmarks/simulator.py``: the loop over rows is innermost and runs over
 a small local block, so LLVM turns it into vector instructions; everything it calls is inlined by force; division
@@ -17,9 +17,10 @@ import numba
 import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from . import equations
+from . import equations, state
 from .params import Coefficients
 from .provenance import fingerprint
+from .status import Status
 
 _OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}
 
@@ -31,12 +32,12 @@ def compiled(function: Callable[..., Any]) -> Any:
     """Compile an entry point and keep the machine code on disk.
 
     Numba notices edits in the function's own file only, so the folder is named after a hash of all the sources it may
-    use: the equations, the coefficients, this file, and the function's own package where that is another.  Where no
-    folder can be written, it is compiled anew each time.
+    use: what this file is made of, and the function's own package where that is another.  Where no folder can be
+    written, it is compiled anew each time.
     """
     here = Path(__file__).parent
     package = Path(function.__code__.co_filename).parent
-    sources = [here / name for name in ("equations.py", "params.py", "kernels.py")]
+    sources = [here / name for name in ("equations.py", "params.py", "state.py", "status.py", "kernels.py")]
     if package != here:
         sources.append(package)
     root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path.home() / ".cache" / "dpend")
@@ -206,3 +207,50 @@ def plant_step(x, f, coefficients, h, substeps):
         for j in range(m):
             for k in range(6):
                 x[start + j, k] = block[k * _BLOCK + j]
+
+
+wrap_angle = inline(state.wrap_angle)
+_TRACK_END, _LINK1_FELL, _LINK2_FELL, _NOT_FINITE = (
+    status.code for status in (Status.TRACK_END, Status.LINK1_FELL, Status.LINK2_FELL, Status.NOT_FINITE)
+)
+
+
+@compiled
+def status_codes(x, track_limit, limit1, limit2, codes):
+    """Fill in the status codes of states ``(n, 6)`` for bounds on position and angles; NaN is outside every bound.
+
+    This and the next two fill an array, the last argument, because to return one takes numba longer than to judge a
+    row.
+    """
+    limits = np.broadcast_to(track_limit, codes.shape)
+    for i in range(len(codes)):
+        on_track = abs(x[i, 0]) <= limits[i]
+        up1 = abs(x[i, 1]) <= limit1
+        up2 = abs(x[i, 2]) <= limit2
+        codes[i] = 0
+        if not (on_track & up1 & up2):  # seldom, so one test for all
+            codes[i] = _LINK2_FELL if up1 else _LINK1_FELL
+            if not on_track:
+                codes[i] = _TRACK_END
+            for k in range(6):
+                if not np.isfinite(x[i, k]):
+                    codes[i] = _NOT_FINITE
+
+
+@compiled
+def report_costs(x, codes, on_pos, on_th1, on_th2, failure_cost, costs):
+    r"""Fill in :math:`w \cdot (|p|, |n(\theta_1)|, |n(\theta_2)|)`, and the cost of failing where a code says so."""
+    for i in range(len(costs)):
+        cost = on_th1 * abs(wrap_angle(x[i, 1])) + on_th2 * abs(wrap_angle(x[i, 2]))
+        if on_pos != 0.0:
+            cost += on_pos * abs(x[i, 0])
+        if codes[i] != 0:
+            cost += failure_cost
+        costs[i] = cost
+
+
+@compiled
+def links_upright(x, angle, upright):
+    """Fill in which states ``(n, 6)`` have both links within an angle of the vertical."""
+    for i in range(len(upright)):
+        upright[i] = (abs(wrap_angle(x[i, 1])) <= angle) & (abs(wrap_angle(x[i, 2])) <= angle)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from .metrics import force_metrics
 from .params import Array
 from .rig import Rig
-from .tasks import Status
+from .status import Status
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 from functools import cache, cached_property
-from typing import Any, Protocol
+from types import ModuleType
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -17,21 +16,6 @@ from .rig import Rig
 from .state import EQUILIBRIA
 
 Codes = npt.NDArray[np.uint8]
-
-
-class Status(Enum):
-    """How a run ended; the value is the message.  Its place in the list is the code kept in arrays."""
-
-    FULL_LENGTH = "The run reached its full length."
-    TRACK_END = "The cart reached the end of the track."
-    LINK1_FELL = "Link 1 fell below the horizontal."
-    LINK2_FELL = "Link 2 fell below the horizontal."
-    NOT_FINITE = "The state is no longer a finite number."
-
-    @property
-    def code(self) -> int:
-        """The number that stands for this status in arrays; zero where nothing ended the run early."""
-        return list(Status).index(self)
 
 
 class Task(Protocol):
@@ -64,67 +48,18 @@ class Task(Protocol):
         ...
 
 
-_TURN = 2 * math.pi
-_TRACK_END, _LINK1_FELL, _LINK2_FELL, _NOT_FINITE = (status.code for status in list(Status)[1:])
-
-
-def _codes_by_row(x, track_limit, limit1, limit2, codes):
-    """Find the status codes for bounds on position and angles; NaN is outside every bound."""
-    limits = np.broadcast_to(track_limit, codes.shape)
-    for i in range(len(codes)):
-        on_track = abs(x[i, 0]) <= limits[i]
-        up1 = abs(x[i, 1]) <= limit1
-        up2 = abs(x[i, 2]) <= limit2
-        codes[i] = 0
-        if not (on_track & up1 & up2):  # seldom, so one test for all
-            codes[i] = _LINK2_FELL if up1 else _LINK1_FELL
-            if not on_track:
-                codes[i] = _TRACK_END
-            for k in range(6):
-                if not np.isfinite(x[i, k]):
-                    codes[i] = _NOT_FINITE
-
-
-def _costs_by_row(x, codes, on_pos, on_th1, on_th2, failure_cost, costs):
-    r"""Find :math:`w \cdot (|p|, |n(\theta_1)|, |n(\theta_2)|)`, and the cost of failing."""
-    for i in range(len(costs)):
-        th1, th2 = x[i, 1], x[i, 2]
-        cost = on_th1 * abs(th1 - _TURN * np.rint(th1 / _TURN)) + on_th2 * abs(th2 - _TURN * np.rint(th2 / _TURN))
-        if on_pos != 0.0:
-            cost += on_pos * abs(x[i, 0])
-        if codes[i] != 0:
-            cost += failure_cost
-        costs[i] = cost
-
-
-def _upright_by_row(x, angle, upright):
-    """Find which states have both links within an angle of the vertical."""
-    for i in range(len(upright)):
-        th1, th2 = x[i, 1], x[i, 2]
-        lean1 = abs(th1 - _TURN * np.rint(th1 / _TURN))
-        lean2 = abs(th2 - _TURN * np.rint(th2 / _TURN))
-        upright[i] = lean1 <= angle and lean2 <= angle
-
-
 @cache
-def _compiled(by_row: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a loop over rows: one pass over the batch, and a tenth of numpy's time where there is one row.
+def _kernels() -> ModuleType:
+    """Load numba with the first state judged, not with `import dpend`."""
+    from . import kernels
 
-    Unlike the plant's kernels it rounds every product, so it gives numpy's bits.  The loops fill an array, the last
-    argument, because to return one takes numba longer than to judge a row.
-    """
-    import numba  # with the first state judged, not with `import dpend`
-
-    try:
-        return numba.njit(cache=True)(by_row)
-    except RuntimeError:  # numba found no folder it may write to
-        return numba.njit(by_row)
+    return kernels
 
 
 def _codes(x: Array, rig: Rig, limit1: float, limit2: float) -> Codes:
     """Give status codes for the ends of the track and bounds on the angles."""
     codes = np.empty(len(x), dtype=np.uint8)
-    _compiled(_codes_by_row)(x, rig.track_limit, limit1, limit2, codes)
+    _kernels().status_codes(x, rig.track_limit, limit1, limit2, codes)
     return codes
 
 
@@ -165,7 +100,7 @@ class ReportCost:
     def cost(self, x: Array, codes: Codes) -> Array:
         """Give the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
         costs = np.empty(len(x))
-        _compiled(_costs_by_row)(x, codes, *self.state_weights, self.failure_cost, costs)
+        _kernels().report_costs(x, codes, *self.state_weights, self.failure_cost, costs)
         return costs
 
 
@@ -320,7 +255,7 @@ class SwingUp(ReportCost):
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Tell which states have both links within ``upright_angle`` of the vertical."""
         upright = np.empty(len(x), dtype=np.bool_)
-        _compiled(_upright_by_row)(x, self.upright_angle, upright)
+        _kernels().links_upright(x, self.upright_angle, upright)
         return upright
 
 

@@ -307,7 +307,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         over = self._over
         final_obs = np.empty(self.num_envs, dtype=object)
         for row, seen in zip(over, self._observe(y[over]), strict=True):
-            final_obs[row] = seen.copy()
+            final_obs[row] = seen
         state, force = np.zeros((self.num_envs, 6)), np.zeros(self.num_envs)
         state[over], force[over] = self.state[over], self.force[over]
         final_info = {"state": state, "_state": done.copy(), "force": force, "_force": done.copy()} | ends

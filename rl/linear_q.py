@@ -23,11 +23,10 @@ import numpy as np
 import numpy.typing as npt
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from dpend.kernels import compiled, inline, sample
+from dpend.kernels import compiled, inline, sample, wrap_angle
 from dpend.params import Array, Coefficients
 from dpend.rig import Rig
 from dpend.simulate import simulate_many
-from dpend.state import wrap_angle
 from dpend.tasks import Balance
 
 from . import features
@@ -340,8 +339,7 @@ class _Settings(NamedTuple):
     substeps: int
 
 
-_wrap_angle = inline(wrap_angle)
-_value_features = inline(features.make_value_features(_wrap_angle))
+_value_features = inline(features.make_value_features(wrap_angle))
 _slope_features = inline(features.slope_features)
 
 
@@ -405,7 +403,7 @@ def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, l
 
             x = sample(x, (a, 0.0, 0.0), c_, s.substep, s.substeps)
             failed = not (abs(x[0]) <= s.bounds[0] and abs(x[1]) <= s.bounds[1] and abs(x[2]) <= s.bounds[2])
-            costs = abs(x[0]), abs(_wrap_angle(x[1])), abs(_wrap_angle(x[2]))
+            costs = abs(x[0]), abs(wrap_angle(x[1])), abs(wrap_angle(x[2]))
             reward = -(s.weights[0] * costs[0] + s.weights[1] * costs[1] + s.weights[2] * costs[2])
             if failed:
                 reward -= s.failure_cost

@@ -124,12 +124,12 @@ def inside(name: str) -> set[str]:
 @pytest.mark.parametrize(
     ("name", "allowed"),
     [
-        ("kernels", {"equations", "params", "provenance"}),
+        ("kernels", {"equations", "params", "provenance", "state", "status"}),
         ("symbolic", {"equations", "params", "rig"}),
         ("plant", {"equations", "params"}),
         ("linear", {"params", "plant"}),
         ("rig", {"params"}),
-        ("tasks", {"params", "rig", "state"}),
+        ("tasks", {"kernels", "params", "rig", "state"}),
         ("stepper", {"kernels", "params", "rig", "state"}),
         ("controller", {"params"}),
     ],
@@ -182,7 +182,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "matplotlib": ("dpend/draw.py", "studies/*"),
     "torch": ("rl/deep.py", "rl/train.py", "rl/pilco.py"),
     "stable_baselines3": ("rl/deep.py", "rl/train.py"),
-    "numba": ("dpend/kernels.py", "dpend/tasks.py", "controllers/ilqr.py", "rl/*"),
+    "numba": ("dpend/kernels.py", "controllers/ilqr.py", "rl/*"),
     "control": ("controllers/*",),
     "dask": ("studies/_study.py",),
     "distributed": ("studies/_study.py",),

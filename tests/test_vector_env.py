@@ -19,6 +19,7 @@ from dpend import Act, Balance, Rig, Status, SwingUp
 from dpend.draw import Picture
 from dpend.env import CartDoublePendulumEnv, balance
 from dpend.params import Array
+from dpend.tasks import Unending
 from dpend.vector_env import CartDoublePendulumVectorEnv, balance_vector, swing_up_vector
 
 RIG = dpend.rig("gustafsson2016")
@@ -90,10 +91,10 @@ def test_a_copy_does_bit_for_bit_what_a_single_environment_does_from_the_same_st
 
 
 class Leaning:
-    """Push with all force to where the links lean."""
+    """Push with 10 N to where the links lean."""
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        return lambda t, y: 40.0 * np.sign(self.lean(y))
+        return lambda t, y: 10.0 * np.sign(self.lean(y))
 
     @staticmethod
     def lean(y: Array) -> Array:
@@ -102,15 +103,20 @@ class Leaning:
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.parametrize("rig", [RIG, NOISY])
-def test_a_law_ends_as_it_does_in_simulate_many_noise_included(mode: AutoresetMode, rig: Rig) -> None:
-    task = Balance(lam=0.4, steps=20)
-    n = 200
-    envs = CartDoublePendulumVectorEnv(task, rig, n, forces=[-40.0, 40.0], autoreset_mode=mode)
-    y, _ = envs.reset(seed=3)
-    runs = dpend.simulate_many(rig, Leaning(), envs.state, task=task, seed=3)
+@pytest.mark.parametrize(
+    "task", [Balance(steps=20), *(SwingUp(steps=10, hold=hold, upright_angle=0.4) for hold in (0.1, 0.2))]
+)
+def test_a_law_ends_as_it_does_in_simulate_many_noise_included(
+    mode: AutoresetMode, rig: Rig, task: Balance | SwingUp
+) -> None:
+    n = 500
+    x0 = np.random.default_rng(0).uniform(-1, 1, (n, 6)) * [2.3, 0.5, 0.5, 0.5, 1, 1]
+    envs = CartDoublePendulumVectorEnv(task, rig, n, forces=[-10.0, 10.0], autoreset_mode=mode)
+    y, _ = envs.reset(seed=3, options={"x0": x0})
+    runs = dpend.simulate_many(rig, Leaning(), x0, task=task, seed=3)
     steps, codes = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
     success = np.zeros(n, dtype=np.bool_)
-    for k in range(1, 21):
+    for k in range(1, task.steps + 1):
         y, _, terminated, truncated, infos = envs.step((Leaning.lean(y) > 0).astype(int))
         ends = infos.get("final_info", infos)
         first = (terminated | truncated) & (steps == 0)
@@ -193,6 +199,12 @@ def test_copies_end_and_begin_anew_as_gymnasium_has_it(
     assert successes > 2
 
 
+def test_without_a_length_no_episode_is_cut_short() -> None:
+    envs = CartDoublePendulumVectorEnv(Unending(), RIG, 2)
+    envs.reset(seed=0)
+    assert not any(envs.step(np.zeros((2, 1)))[3].any() for _ in range(1200))
+
+
 def test_the_action_of_the_step_in_which_a_copy_begins_anew_is_ignored() -> None:
     envs = balance_vector(2, steps=1)
     envs.reset(seed=0)
@@ -209,7 +221,7 @@ def test_the_action_of_the_step_in_which_a_copy_begins_anew_is_ignored() -> None
 def test_a_mask_begins_some_copies_and_leaves_the_others_as_they_were(mode: AutoresetMode, rig: Rig) -> None:
     envs = CartDoublePendulumVectorEnv(Balance(), rig, 4, autoreset_mode=mode)
     envs.reset(seed=0)
-    before = envs.step(np.full((4, 1), 0.1))[0].copy()
+    *_, (before, *_) = [envs.step(np.full((4, 1), 0.1)) for _ in range(3)]
     states = envs.state
     mask = np.array([True, False, False, True])
     options = {"reset_mask": mask, "x0": np.arange(4)[:, None] * [0, 0.1, 0.1, 0, 0, 0]}
@@ -292,6 +304,29 @@ def test_no_two_copies_and_no_two_episodes_are_alike() -> None:
         assert not any(np.array_equal(a, b) for a, b in combinations(some, 2))
 
 
+def test_a_seed_restarts_the_starts_that_are_yet_to_come() -> None:
+    envs = balance_vector(3)
+    later = []
+    for _ in range(3):
+        envs.reset(seed=0, options={"x0": [[0, 1.57, 0, 0, 1, 0], [0] * 6, [0] * 6]})
+        _, (y, *_) = [envs.step(np.zeros((3, 1))) for _ in range(2)]
+        later.append(y)
+    assert 0 < np.abs(later[0][0, 1:3]).max() <= 0.1
+    assert_array_equal(later[1:], [later[0]] * 2)
+
+
+def test_each_copy_begins_on_its_own_track_every_time() -> None:
+    limits = np.array([2.0, 0.02, 2.0])
+    envs = swing_up_vector(3, RIG.replace(track_limit=limits), start="anywhere", autoreset_mode="SameStep")
+    envs.reset(seed=0)
+    begun = np.zeros(3)
+    for actions in random_actions(envs, 60):
+        _, _, terminated, _, _ = envs.step(actions)
+        assert (np.abs(envs.state[terminated, 0]) <= limits[terminated] / 2).all()
+        begun += terminated
+    assert begun[1] > 10
+
+
 def test_starts_drawn_ahead_are_spread_as_the_task_spreads_them() -> None:
     envs = balance_vector(64, lam=0.3, steps=2, autoreset_mode="SameStep")
     envs.reset(seed=0)
@@ -325,6 +360,7 @@ def test_nothing_that_is_returned_shares_memory(mode: AutoresetMode, observation
         returned.extend([y, rewards, terminated, truncated, *arrays(infos), envs.state, envs.force])
         if mode is AutoresetMode.DISABLED and (terminated | truncated).any():
             returned.append(envs.reset(options={"reset_mask": terminated | truncated})[0])
+    returned.extend([envs.state, envs.state, envs.force, envs.force])
     assert not any(np.shares_memory(a, b) for a, b in combinations(returned, 2))
 
 

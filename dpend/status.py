@@ -1,0 +1,20 @@
+"""How a run ends."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Status(Enum):
+    """How a run ended; the value is the message.  Its place in the list is the code kept in arrays."""
+
+    FULL_LENGTH = "The run reached its full length."
+    TRACK_END = "The cart reached the end of the track."
+    LINK1_FELL = "Link 1 fell below the horizontal."
+    LINK2_FELL = "Link 2 fell below the horizontal."
+    NOT_FINITE = "The state is no longer a finite number."
+
+    @property
+    def code(self) -> int:
+        """The number that stands for this status in arrays; zero where nothing ended the run early."""
+        return list(Status).index(self)
