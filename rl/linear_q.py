@@ -192,8 +192,8 @@ class LinearQLearning:
             epsilon_decay=0.0386529,
             bootstrap_failure=False,
             acceptance=((0.3, 0.82), (0.1, 0.99)) if select else (),
-            restart_after=1500 if select else None,
-            max_episodes=12_000,
+            restart_after=1000 if select else None,
+            max_episodes=20_000,
         )
 
     def train(self, seed: int | Sequence[int], *, progress: Callable[[int], None] | None = None) -> Training:

@@ -279,13 +279,21 @@ def summary(rows: list[Row]) -> RenderableType:
         success.add_row(_WORDS[name], *cells)
     success.add_row("the report's Table 2", *(f"{100 * TABLE2[lam]:.0f}" if lam in TABLE2 else "" for lam in lams))
 
-    learning = Table(title="What learning cost, medians over trainings")
-    for heading in ("learner", "converged", "episodes", "learning steps", "test steps"):
+    learning = Table(title="What learning cost, medians over trainings, and what the converged ones save")
+    for heading in ("learner", "converged", "episodes", "learning steps", "test steps", "converged save, %"):
         learning.add_column(heading, justify="left" if heading == "learner" else "right")
     for name in (name for name in names if name in LEARNED):
         own = [row for row in rows if row.controller == name and row.lam == lams[0]]
         costs = np.median([(row.training_episodes, row.training_steps, row.test_steps) for row in own], axis=0)
-        learning.add_row(_WORDS[name], _converged(rows, name), *(f"{cost:,.0f}" for cost in costs))
+        done = [row for row in rows if row.controller == name and row.outcome == "converged"]
+        shares = [
+            f"{100 * np.mean([row.successes / row.episodes for row in done if row.lam == lam]):.1f}"
+            for lam in lams
+            if done
+        ]
+        learning.add_row(
+            _WORDS[name], _converged(rows, name), *(f"{cost:,.0f}" for cost in costs), "\n".join(shares) or "-"
+        )
     return Group(success, learning)
 
 
