@@ -7,12 +7,15 @@ as falling, and how many successes in a row are convergence.  Also with and with
 combination is trained from several seeds, until it converges, a weight overflows, or the budget of episodes is spent;
 a controller that converged then meets fresh starts.
 
-Finding: to be written.
+Finding: with all 18 features none of 480 trainings comes to 10 successes in a row, every one overflows; without the
+cart's six, by the report's criterion, 17 of 240 come to 20, at best 4 of 20 in one combination, against the report's
+70 %.  From the default options, kept in docs/results/published_q.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -175,25 +178,40 @@ def plot(rows: list[Row], traces: Traces) -> Figure:
 
 
 def summary(rows: list[Row]) -> Table:
-    """Condense the table: how trainings end, by features and criterion, and what the converged are worth."""
-    table = Table(title="The report's Q-learning, to the letter; all choices of what it left unstated")
-    headings = ("features", "falling is", "trainings", "converged", "diverged", "budget spent", "then save, λ = 0.1")
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading in headings[:2] else "right")
+    """Condense the table: how trainings end, by features and criterion, and what the converged are worth.
+
+    Combinations share their seeds, so only the counts of one combination are independent; the best is shown.
+    """
+    table = Table(title="The report's Q-learning, to the letter, over all choices of what it left unstated")
+    headings: tuple[tuple[str, Literal["left", "right"]], ...] = (
+        ("features", "left"),
+        ("falling is", "left"),
+        ("converged: 10 / 20 / 50\nsuccesses in a row", "right"),
+        ("most in one combination,\n20 in a row", "right"),
+        ("diverged", "right"),
+        ("budget\nspent", "right"),
+        ("converged save,\nλ = 0.1", "right"),
+    )
+    for heading, justify in headings:
+        table.add_column(heading, justify=justify)
     for kind in FEATURES:
         for criterion in CRITERIA:
             own = [row for row in rows if (row.features, row.criterion) == (kind, criterion)]
-            rate = wilson(*_share(own))
-            counts = [sum(row.outcome == outcome for row in own) for outcome in ("diverged", "budget spent")]
-            done = [row for row in own if row.episodes]
-            saved = (
-                f"{100 * np.mean([row.successes / row.episodes for row in done]):.0f} %"
-                f" ({100 * np.mean([row.successes_report / row.episodes for row in done]):.0f} %)"
-                if done
-                else "-"
+            by_streak = [_share([row for row in own if row.streak == streak]) for streak in STREAKS]
+            combinations = {(row.weights, row.failure_cost, row.failed_step) for row in own}
+            best = max(
+                _share([r for r in own if r.streak == 20 and (r.weights, r.failure_cost, r.failed_step) == combination])
+                for combination in combinations
             )
-            share = f"{100 * rate.share:.1f} % \\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
-            table.add_row(kind, criterion, str(len(own)), share, *map(str, counts), saved)
+            done = [row.successes / row.episodes for row in own if row.episodes]
+            table.add_row(
+                kind,
+                criterion,
+                " / ".join(str(converged) for converged, _ in by_streak) + f" of {by_streak[0][1]}",
+                f"{best[0]} of {best[1]}",
+                *(str(sum(row.outcome == outcome for row in own)) for outcome in ("diverged", "budget spent")),
+                f"{100 * np.mean(done):.0f} %" if done else "-",
+            )
     return table
 
 
