@@ -16,7 +16,7 @@ from scipy.optimize import brentq
 from dpend.controller import Act, Controller, check_controller, is_batched
 from dpend.linear import discretize, linearize
 from dpend.params import Array
-from dpend.rig import Rig
+from dpend.rig import Rig, as_rig
 from dpend.state import NAMES, nearest_upright
 
 
@@ -34,6 +34,11 @@ class Margins(NamedTuple):
         disk of that size.
     delay, delay_samples : float
         Pure delay between controller and plant that brings the loop to the edge of stability, in s and in samples.
+
+    Notes
+    -----
+    A gain is searched between 1e-4 and 1e4, a delay up to the time constant of the loop's slowest mode; a margin that
+    lies beyond is given as 0 or infinite.
     """
 
     gain_low: float
@@ -52,7 +57,7 @@ class LQR:
 
     Parameters
     ----------
-    rig : Rig
+    rig : Rig or str
         What the designer believes: plant and sample time.  Limits, actuator and sensors do not enter.
     Q : array_like, optional
         State weights, a diagonal ``(6,)`` or a matrix ``(6, 6)``, positive semidefinite; left out, the identity.
@@ -86,12 +91,13 @@ class LQR:
 
     def __init__(
         self,
-        rig: Rig,
+        rig: Rig | str,
         Q: npt.ArrayLike | None = None,
         R: float = 1.0,
         *,
         design: Literal["discrete", "continuous"] = "discrete",
     ) -> None:
+        rig = as_rig(rig)
         if rig.n is not None:
             raise ValueError(f"LQR is designed for one plant; got a rig of {rig.n} rows.")
         self.rig = rig
@@ -130,6 +136,9 @@ class LQR:
         for array in (self.Q, self.K, self.P, self.poles):
             array.setflags(write=False)
 
+    def __repr__(self) -> str:
+        return f"<LQR, K = {np.array2string(self.K[0], precision=4, separator=', ')}>"
+
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Give the law for ``n`` runs."""
         gain = self.K[0]
@@ -149,13 +158,17 @@ class LQR:
             raise ValueError(f"The sampled loop is unstable (spectral radius {radius:.3f}): it has no margins.")
         T = self.rig.sample_time
         loop = control.ss(self._Ad, self._Bd, self.K, 0, T)
-        omega = np.geomspace(1e-3 * np.pi / T, np.pi / T * (1 - 1e-9), 4000)
-        delay = T * _first_exit(self._radius_with_delay, np.linspace(0, 100, 2001))
+        slowest = float(np.abs(np.log(self.poles.astype(np.complex128))).min()) / T  # rad/s
+        omega = np.geomspace(min(1e-2 * slowest, 1e-3 * np.pi / T), np.pi / T * (1 - 1e-9), 4000)
+        sizes = control.disk_margins(loop, omega, returnall=True)[0]
+        worst = int(np.argmin(sizes))
+        around = omega[max(worst - 1, 0)], omega[min(worst + 1, len(omega) - 1)]
+        delay = _first_exit(self._radius_with_delay, np.linspace(0, 1 / slowest, 2001))
         return Margins(
-            gain_low=_first_exit(self._radius_with_gain, np.geomspace(1, 1e-4, 400)),
+            gain_low=_first_exit(self._radius_with_gain, np.geomspace(1, 1e-4, 400), never=0.0),
             gain_high=_first_exit(self._radius_with_gain, np.geomspace(1, 1e4, 400)),
             phase=_first_exit(lambda phase: self._radius_with_gain(np.exp(-1j * phase)), np.linspace(0, np.pi, 400)),
-            disk=float(control.disk_margins(loop, omega)[0]),
+            disk=float(control.disk_margins(loop, np.linspace(*around, 400))[0]),
             delay=delay,
             delay_samples=delay / T,
         )
@@ -164,9 +177,10 @@ class LQR:
         """Spectral radius of the sampled loop with its gain multiplied by a real or complex number."""
         return _radius(self._Ad - gain * (self._Bd @ self.K))
 
-    def _radius_with_delay(self, samples: float) -> float:
-        """Spectral radius of the sampled loop with that delay: the states, and the commands under way."""
+    def _radius_with_delay(self, delay: float) -> float:
+        """Spectral radius of the sampled loop with a delay in s: the states, and the commands under way."""
         T = self.rig.sample_time
+        samples = delay / T
         queue = math.ceil(samples)  # commands of the last so many samples are still of interest
         late = (samples - queue + 1) * T if queue else 0.0  # the older of two acts for so long in a sample
         _, newer = discretize(*self._plant, T - late) if late < T else (0, np.zeros((6, 1)))
@@ -189,13 +203,13 @@ def _radius(A: npt.NDArray[Any]) -> float:
     return float(np.abs(np.linalg.eigvals(A)).max())
 
 
-def _first_exit(radius: Callable[[float], float], path: Array) -> float:
-    """Give where, along a path that begins stable, the spectral radius first reaches one; the path's end if never."""
+def _first_exit(radius: Callable[[float], float], path: Array, never: float = np.inf) -> float:
+    """Give where, along a path that begins stable, the spectral radius first reaches one."""
     for inside, outside in itertools.pairwise(path):
         if radius(outside) >= 1:
             edge: Any = brentq(lambda point: radius(point) - 1, inside, outside, xtol=1e-12)
             return float(edge)
-    return float(path[-1])
+    return never
 
 
 def _weight(Q: npt.ArrayLike | None) -> Array:

@@ -19,12 +19,11 @@ from gymnasium import spaces
 from gymnasium.error import InvalidAction, ResetNeeded
 
 from .params import Array
-from .rig import Rig, suggestion
-from .rig import rig as preset
+from .rig import Rig, as_rig, suggestion
 from .state import as_states
 from .status import Status
 from .stepper import Stepper
-from .tasks import Balance, SwingUp, Task
+from .tasks import Balance, SwingUp, Task, checked_task
 
 _MESSAGES = tuple(status.value for status in Status)
 
@@ -79,7 +78,7 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
         render_mode: str | None = None,
     ) -> None:
         self.task = checked_task(task)
-        self.rig = checked_rig(rig)
+        self.rig = as_rig(rig)
         if self.rig.n is not None:
             raise ValueError(
                 f"An environment has one rig; this one describes {self.rig.n}. Take one of them with rig.rows(i), or "
@@ -321,38 +320,6 @@ def task_from(kind: type[_AnyTask], parameters: Mapping[str, Any], others: tuple
                 f"A {kind.__name__} environment has no parameter {name!r}.{suggestion(name, known | set(others))}"
             )
     return kind(**parameters)
-
-
-def checked_task(task: Task) -> Task:
-    """Refuse what is not a task, a class of tasks included.
-
-    Raises
-    ------
-    TypeError
-        If it is a class, or lacks what a task has.
-    """
-    if isinstance(task, type):
-        raise TypeError(f"Expected a task such as dpend.Balance(); got the class {task.__name__}. Call it first.")
-    if not all(hasattr(task, name) for name in ("steps", "hold", "starts", "ended", "upright", "cost")):
-        raise TypeError(f"Expected a task such as dpend.Balance(); got {task!r}.")
-    return task
-
-
-def checked_rig(rig: Rig | str) -> Rig:
-    """Give the rig, or the preset of that name.
-
-    Raises
-    ------
-    TypeError
-        If it is neither a rig nor a name.
-    ValueError
-        If no preset has that name; the message suggests the nearest.
-    """
-    if isinstance(rig, str):
-        return preset(rig)
-    if not isinstance(rig, Rig):
-        raise TypeError(f"rig must be a dpend.Rig or the name of a preset; got {rig!r}.")
-    return rig
 
 
 def checked_forces(forces: npt.ArrayLike | None, rig: Rig) -> Array | None:

@@ -1,7 +1,7 @@
 r"""The numba instances of the equations, one batched plant step and one scalar step; and loops that judge states.
 
-What makes the batch fast, each measured in ``benchmarks/simulator.py``: the loop over rows is innermost and runs over
-a small local block, so LLVM turns it into vector instructions; everything it calls is inlined by force; division
+What makes the batch fast (``benchmarks/simulator.py`` measures the whole): the loop over rows is innermost and runs
+over a small local block, so LLVM turns it into vector instructions; everything it calls is inlined by force; division
 does not check for zero; and sine and cosine are polynomials of our own, because the library's do not vectorise.
 """
 

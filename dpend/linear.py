@@ -32,6 +32,8 @@ def linearize(params: Params, x: npt.ArrayLike | None = None, u: float = 0.0) ->
 
     Raises
     ------
+    TypeError
+        If ``params`` is something else, such as a rig.
     ValueError
         If ``params`` describes several plants, or ``x`` is not one state.
 
@@ -39,6 +41,8 @@ def linearize(params: Params, x: npt.ArrayLike | None = None, u: float = 0.0) ->
     -----
     Source: W. Squire and G. Trapp, *Using complex variables to estimate derivatives of real functions*, 1998.
     """
+    if not isinstance(params, Params):
+        raise TypeError(f"linearize takes dpend.Params, such as rig.params; got {type(params).__name__}.")
     if params.n is not None:
         raise ValueError(f"linearize takes one plant; got Params with arrays of {params.n} rows.")
     point = np.zeros(6) if x is None else np.asarray(x, dtype=np.float64)

@@ -38,7 +38,8 @@ def force_metrics(u: Array, sample_time: float, force_limit: float | Array) -> d
     dict of ndarray (N,)
         ``seconds`` the run lasted; ``peak_force`` :math:`\max|u|`; ``effort`` :math:`\int u^2 dt`; ``variation``, the
         total variation :math:`\sum|\Delta u|` per second in units of :math:`u_\max`; ``switches``, changes of sign
-        per second, zeros skipped; ``saturated``, the share of the time at the limit.
+        per second, zeros skipped; ``saturated``, the share of the time
+        at the limit or beyond (force noise, which acts after the limit, moves the force off it).
     """
     u = np.asarray(u, dtype=np.float64)
     if u.ndim != 2:

@@ -71,7 +71,7 @@ def checked_number(name: str, value: object, unit: str, least: float, least_allo
         array = np.array(value)
     except ValueError:  # rows of different lengths
         array = np.array(None)
-    if array.dtype.kind not in "iuf":
+    if array.dtype.kind not in "iuf" or array.size == 0:
         raise TypeError(f"{name} must be a number in {unit}, or an array (N,) with one number per row; got {value!r}.")
     array = array.astype(np.float64)
     if array.ndim > 1:
@@ -136,7 +136,7 @@ class Params:
     TypeError
         If a field is not a number, or an array of one number a row.
     ValueError
-        If a field is out of its range, or a link has no moment of inertia about its joint at all.
+        If a field is out of its range, or link 2 has no moment of inertia about its joint at all.
     """
 
     cart_mass: Number
@@ -162,12 +162,11 @@ class Params:
                 continue
             object.__setattr__(self, name, checked_number(name, value, *bounds))
         self.n  # noqa: B018  (raises where array lengths differ)
-        for link, (com, inertia) in enumerate(zip(self.centers, self.inertias, strict=True), start=1):
-            if np.any((np.asarray(com) == 0) & (np.asarray(inertia) == 0)):
-                raise ValueError(
-                    f"Link {link} has neither an inertia nor a lever arm, so nothing resists its rotation; "
-                    f"give com{link} or inertia{link} a value greater than zero."
-                )
+        if np.any((np.asarray(self.centers[1]) == 0) & (np.asarray(self.inertias[1]) == 0)):
+            raise ValueError(
+                "Link 2 has neither an inertia nor a lever arm, so nothing resists its rotation; "
+                "give com2 or inertia2 a value greater than zero."
+            )
 
     @property
     def n(self) -> int | None:

@@ -65,11 +65,16 @@ def rates(x: npt.ArrayLike, u: npt.ArrayLike, params: Params) -> npt.NDArray[Any
     Raises
     ------
     ValueError
-        If a state does not have six numbers.
+        If a state does not have six numbers, or the forces have another shape.
     """
     x = _numbers(x)
     u = np.asarray(u)
     generalised = u.ndim == x.ndim and u.shape[-1] == 3
+    if u.ndim == x.ndim > 1 and u.shape[-1] == 1:
+        raise ValueError(
+            f"Expected forces on the cart of shape {x.shape[:-1]}, or generalised forces of shape "
+            f"{(*x.shape[:-1], 3)}; got shape {u.shape}."
+        )
     f = (u[..., 0], u[..., 1], u[..., 2]) if generalised else (u, 0.0, 0.0)
     columns = _rates(np.moveaxis(x, -1, 0), f, params.coefficients())
     return np.stack(np.broadcast_arrays(*columns), axis=-1)

@@ -356,9 +356,35 @@ def rig(name: str) -> Rig:
     ValueError
         If there is none; the message suggests the nearest.
     """
-    if name not in PRESETS:
-        raise ValueError(f"There is no preset rig {name!r}.{suggestion(name, PRESETS)}")
+    if not isinstance(name, str) or name not in PRESETS:
+        raise ValueError(f"There is no preset rig {name!r}.{suggestion(str(name), PRESETS)}")
     return PRESETS[name]()
+
+
+def as_rig(rig_or_name: Rig | str) -> Rig:
+    """Give the rig, or the preset of that name.
+
+    Parameters
+    ----------
+    rig_or_name : Rig or str
+        Either.
+
+    Returns
+    -------
+    Rig
+
+    Raises
+    ------
+    TypeError
+        If it is neither a rig nor a name.
+    ValueError
+        If no preset has that name; the message suggests the nearest.
+    """
+    if isinstance(rig_or_name, str):
+        return rig(rig_or_name)
+    if not isinstance(rig_or_name, Rig):
+        raise TypeError(f"rig must be a dpend.Rig or the name of a preset; got {rig_or_name!r}.")
+    return rig_or_name
 
 
 def rigs() -> dict[str, str]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,43 @@ from .status import Status
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_FORMAT = "dpend run 1"
+Layout = dict[str, tuple[tuple[int, ...], type]]
+
+
+def _write(path: Path, form: str, about: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> Path:
+    """Write arrays and a description as a compressed ``.npz`` that can hold no code."""
+    if not path.suffix:
+        path = path.with_suffix(".npz")
+    text = json.dumps({"format": form} | about, default=lambda of_numpy: of_numpy.tolist())
+    with path.open("wb") as file:
+        np.savez_compressed(file, about=np.array(text), **cast(Any, arrays))
+    return path
+
+
+def _read(path: str | Path, form: str) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
+    with Path(path).open("rb") as source, np.load(source, allow_pickle=False) as file:
+        about = json.loads(str(file["about"]))
+        arrays = {name: file[name] for name in file.files if name != "about"}
+    if about.pop("format") != form:
+        raise ValueError("another format")
+    return about, arrays
+
+
+def _check_arrays(arrays: dict[str, npt.NDArray[Any]], layout: Layout) -> None:
+    if {name: (array.shape, array.dtype) for name, array in arrays.items()} != layout:
+        raise ValueError("other arrays")
+
+
+@contextmanager
+def _reading(path: str | Path, kind: str) -> Iterator[None]:
+    """Say of whatever a foreign file makes the readers stumble over that it is foreign."""
+    try:
+        yield
+    except OSError:
+        raise
+    except Exception as error:
+        what = "a run" if kind == "Run" else "runs"
+        raise ValueError(f"{path} is not {what} saved by {kind}.save, or it is damaged.") from error
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,6 +100,9 @@ class Run:
     task: str
     seed: int
     row: int = 0
+
+    def __repr__(self) -> str:
+        return f"<run of {self.controller}, {self.t[-1]:g} s: {self.status.value}>"
 
     def metrics(self) -> dict[str, float]:
         """Give the run's figures of merit; their units are in ``dpend.metrics.UNITS``."""
@@ -122,11 +162,7 @@ class Run:
         Path
             The file; ``.npz`` is added where the name has no suffix.
         """
-        path = Path(path)
-        if not path.suffix:
-            path = path.with_suffix(".npz")
         about = {
-            "format": _FORMAT,
             "status": self.status.name,
             "success": self.success,
             "time_up": self.time_up,
@@ -136,17 +172,8 @@ class Run:
             "seed": self.seed,
             "row": self.row,
         }
-        with path.open("wb") as file:
-            np.savez_compressed(
-                file,
-                t=self.t,
-                x=self.x,
-                y=self.y,
-                u=self.u,
-                step_time=self.step_time,
-                about=np.array(json.dumps(about, default=lambda of_numpy: of_numpy.tolist())),
-            )
-        return path
+        arrays = {name: getattr(self, name) for name in ("t", "x", "y", "u", "step_time")}
+        return _write(Path(path), "dpend run 1", about, arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Run:
@@ -159,23 +186,14 @@ class Run:
         ValueError
             If it is not a saved run, or is damaged.
         """
-        try:
-            with Path(path).open("rb") as source, np.load(source, allow_pickle=False) as file:
-                about = json.loads(str(file["about"]))
-                arrays = {name: file[name] for name in ("t", "x", "y", "u", "step_time")}
+        with _reading(path, "Run"):
+            about, arrays = _read(path, "dpend run 1")
             steps = arrays["u"].size
             shapes = {"t": (steps + 1,), "x": (steps + 1, 6), "y": (steps + 1, 6), "u": (steps,), "step_time": (steps,)}
-            if about.pop("format") != _FORMAT or any(
-                array.shape != shapes[name] or array.dtype != np.float64 for name, array in arrays.items()
-            ):
-                raise ValueError("another format")
+            _check_arrays(arrays, {name: (shape, np.float64) for name, shape in shapes.items()})
             about["status"] = Status[about["status"]]
             about["rig"] = Rig.from_dict(about["rig"])
             return cls(**arrays, **about)
-        except OSError:
-            raise
-        except Exception as error:  # whatever a foreign file makes the readers stumble over
-            raise ValueError(f"{path} is not a run saved by Run.save, or it is damaged.") from error
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -279,6 +297,63 @@ class Runs:
             seed=self.seed,
             row=self.first_row + row,
         )
+
+    def save(self, path: str | Path) -> Path:
+        """Write the runs as a compressed ``.npz`` of plain arrays; nothing in it can run code.
+
+        Returns
+        -------
+        Path
+            The file; ``.npz`` is added where the name has no suffix.
+        """
+        about = {
+            "rig": self.rig.to_dict(),
+            "controller": self.controller,
+            "task": self.task,
+            "seed": self.seed,
+            "first_row": self.first_row,
+        }
+        arrays = {name: getattr(self, name) for name in self._layout(len(self), self.u.shape[1])}
+        return _write(Path(path), "dpend runs 1", about, {k: array for k, array in arrays.items() if array is not None})
+
+    @classmethod
+    def load(cls, path: str | Path) -> Runs:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        OSError
+            If the file is not there or cannot be read.
+        ValueError
+            If it does not hold saved runs, or is damaged.
+        """
+        with _reading(path, "Runs"):
+            about, arrays = _read(path, "dpend runs 1")
+            layout = cls._layout(*arrays["u"].shape)
+            _check_arrays(arrays, {k: form for k, form in layout.items() if k in arrays or k not in ("x", "y")})
+            about["rig"] = Rig.from_dict(about["rig"])
+            return cls(**arrays, **about)
+
+    @staticmethod
+    def _layout(n: int, samples: int) -> Layout:
+        """Shape and type of each array."""
+        return {
+            "t": ((samples + 1,), np.float64),
+            "u": ((n, samples), np.float64),
+            "steps": ((n,), np.int64),
+            "codes": ((n,), np.uint8),
+            "success": ((n,), np.bool_),
+            "final": ((n, 6), np.float64),
+            "travel": ((n,), np.float64),
+            "time_up": ((n,), np.float64),
+            "step_time": ((n, samples), np.float64),
+            "x": ((n, samples + 1, 6), np.float64),
+            "y": ((n, samples + 1, 6), np.float64),
+        }
+
+    def __repr__(self) -> str:
+        saved = int(self.success.sum())
+        return f"<{len(self)} runs of {self.controller}, {saved} successful, up to {self.t[-1]:g} s>"
 
     @classmethod
     def join(cls, parts: list[Runs], rig: Rig) -> Runs:

@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from .controller import Controller, check_controller, is_batched
 from .params import Array
-from .rig import Rig
+from .rig import Rig, as_rig
 from .run import Run, Runs
 from .state import as_states
-from .stepper import CONTROLLER_STREAM, Stepper, row_sequence
-from .tasks import Balance, Task, Unending
+from .stepper import CONTROLLER_STREAM, Stepper, checked_push, row_sequence
+from .tasks import Balance, Task, Unending, checked_task
 
 Push = Callable[[float], npt.ArrayLike]
 """Generalised forces on cart (N), link 1 and link 2 (N m), ``(3,)`` or ``(N, 3)``, as a function of time in s."""
@@ -68,7 +68,13 @@ def simulate(
     """
     if np.shape(x0) != (6,):
         raise ValueError(f"x0 must be one state of shape (6,); got shape {np.shape(x0)}.")
-    return simulate_many(rig, controller, as_states(x0), duration, task=task, push=push, seed=seed, record=True)[0]
+    run = simulate_many(rig, controller, as_states(x0), duration, task=task, push=push, seed=seed, record=True)[0]
+    if len(run.t) == 1:
+        raise ValueError(
+            f"The run would end where it starts, at x0 = {np.asarray(x0).tolist()}: {run.status.value} "
+            "Angles are in radians; choose another start, or task=None."
+        )
+    return run
 
 
 def simulate_many(
@@ -118,7 +124,10 @@ def simulate_many(
     TypeError, ValueError
         Before anything runs, if an argument is wrong.
     """
+    rig = as_rig(rig)
     check_controller(controller)
+    seed = checked_seed("seed", seed)
+    first_row = checked_seed("first_row", first_row)
     states = as_states(x0)
     if not len(states):
         raise ValueError("x0 has no rows; expected at least one initial state.")
@@ -126,8 +135,12 @@ def simulate_many(
         raise ValueError(f"The rig describes {rig.n} rows, x0 has {len(states)}; expected the same number.")
     if workers < 1:
         raise ValueError(f"workers must be at least 1; got {workers}.")
-    the_task: Task = Unending() if task is None else task
+    the_task: Task = Unending() if task is None else checked_task(task)
     samples = _samples(rig, the_task, duration)
+    if push is not None:
+        if not callable(push):
+            raise TypeError(f"push must be a function of time, such as lambda t: (1.0, 0.0, 0.0); got {push!r}.")
+        checked_push(push(0.0), len(states))
     rows = BLOCK if is_batched(controller) else 1
     blocks = [slice(start, min(start + rows, len(states))) for start in range(0, len(states), rows)]
     simulate_block = partial(_simulate_block, rig, controller, states, samples, the_task, push, seed, first_row, record)
@@ -139,18 +152,33 @@ def simulate_many(
     return parts[0] if len(parts) == 1 else Runs.join(parts, rig)
 
 
+def checked_seed(name: str, value: object) -> int:
+    """Give a seed, or the number of a row, as an integer.
+
+    Raises
+    ------
+    TypeError
+        If it is not a whole number, at least zero.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise TypeError(f"{name} must be a whole number, at least 0; got {value!r}.")
+    return int(value)
+
+
 def _samples(rig: Rig, task: Task, duration: float | None) -> int:
     """Give the number of samples in a run.
 
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If the duration is missing where the task has none, or is no whole number of samples.
     """
     if duration is None:
         if task.steps is None:
             raise ValueError("Without a task a run has no natural end: give a duration in s.")
         return task.steps
+    if not isinstance(duration, int | float | np.integer | np.floating):
+        raise TypeError(f"duration must be a number of seconds; got {duration!r}.")
     samples = round(duration / rig.sample_time) if np.isfinite(duration) else 0
     if samples < 1 or abs(samples * rig.sample_time - duration) > 1e-9 * duration:
         near = max(samples, 1) * rig.sample_time
@@ -183,6 +211,8 @@ def _simulate_block(
     first = first_row + block.start
     stepper = Stepper(rig, n, seed, first)
     act = controller.start(n, np.random.default_rng(row_sequence(seed, first, CONTROLLER_STREAM)))
+    if not callable(act):
+        raise TypeError(f"start(n, rng) of a controller must return the law act(t, y); got {act!r}.")
     y = stepper.reset(x0)
 
     t = rig.sample_time * np.arange(samples + 1, dtype=np.float64)
@@ -212,8 +242,8 @@ def _simulate_block(
         seconds[k] = perf_counter() - began
         if not alive.all():
             u = np.where(alive, u, 0.0)
-        pushed = None if push is None else np.broadcast_to(push(float(t[k])), (len(states), 3))[block]
-        y = stepper.step(u, pushed)
+        pushed = None if push is None else checked_push(push(float(t[k])), len(states))
+        y = stepper.step(u, pushed if pushed is None or pushed.ndim == 1 else pushed[block])
         x = stepper.x
         forces[k] = stepper.force
         np.fmax(travel, np.abs(x[:, 0]), out=travel, where=alive)  # noise and pushes move what is parked

@@ -10,8 +10,8 @@ class Status(Enum):
 
     FULL_LENGTH = "The run reached its full length."
     TRACK_END = "The cart reached the end of the track."
-    LINK1_FELL = "Link 1 fell below the horizontal."
-    LINK2_FELL = "Link 2 fell below the horizontal."
+    LINK1_FELL = "Link 1 fell: it leans by more than a quarter turn."
+    LINK2_FELL = "Link 2 fell: it leans by more than a quarter turn."
     NOT_FINITE = "The state is no longer a finite number."
 
     @property

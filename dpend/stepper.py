@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .params import Array
-from .rig import Rig
+from .rig import Rig, as_rig
 from .state import as_states
 
 Rows = npt.NDArray[Any] | slice
@@ -24,6 +24,23 @@ def row_sequence(seed: int, row: int, stream: int) -> np.random.SeedSequence:
 
 # What each stream of a row is for.
 SENSOR_STREAM, FORCE_STREAM, CONTROLLER_STREAM = range(3)
+
+
+def checked_push(push: npt.ArrayLike, n: int) -> Array:
+    """Give pushes as an array ``(3,)`` or ``(n, 3)``.
+
+    Raises
+    ------
+    ValueError
+        If they have another shape.
+    """
+    array = np.asarray(push, dtype=np.float64)
+    if array.shape not in ((3,), (n, 3)):
+        raise ValueError(
+            "A push is a force on the cart in N and torques on link 1 and link 2 in N m: "
+            f"expected shape (3,) or ({n}, 3); got shape {array.shape}."
+        )
+    return array
 
 
 class _RowNoise:
@@ -98,6 +115,9 @@ class Stepper:
     def __init__(self, rig: Rig, n: int, seed: int = 0, first_row: int = 0) -> None:
         from .kernels import plant_step  # numba loads with the first stepper, not with `import dpend`
 
+        rig = as_rig(rig)
+        if n < 1:
+            raise ValueError(f"A stepper has at least one row; got n={n}.")
         if rig.n not in (None, n):
             raise ValueError(f"The rig describes {rig.n} rows; expected {n}, or single values shared by all rows.")
         self.rig = rig
@@ -149,6 +169,7 @@ class Stepper:
         chosen = _ALL if rows is None else rows
         states = as_states(x0, len(self.force[chosen]))
         self.x[chosen] = states
+        self.force = self.force.copy()  # what was handed out before stays as it was
         self.force[chosen] = 0.0
         self._drive[chosen] = 0.0
         if self._commands is not None:
@@ -177,15 +198,13 @@ class Stepper:
         Raises
         ------
         ValueError
-            If the forces are not of that shape.
+            If the forces, or the pushes, are not of that shape.
         """
         rig = self.rig
         command = np.array(u, dtype=np.float64)
         if command.shape != (self.n,):
-            raise ValueError(
-                f"Expected one force per row, shape ({self.n},); got shape {command.shape}. "
-                "A law written as y @ K.T gives a column: take [:, 0]."
-            )
+            column = " A law written as y @ K.T gives a column: take [:, 0]." if command.shape == (self.n, 1) else ""
+            raise ValueError(f"Expected one force per row, shape ({self.n},); got shape {command.shape}.{column}")
         if self._commands is not None:
             command = self._commands.pass_on(command[:, None])[:, 0]
         if self._limited:
@@ -196,14 +215,14 @@ class Stepper:
                 command[0] = math.copysign(self._first_limit, command.item())
         if self._lagged:
             command = command + self._rest * (self._drive - command)  # exact for a row without lag
-            self._drive = command
+            self._drive = command.copy()
         if self._force_noise is not None:
             command = command + rig.force_noise * self._force_noise.draw()[:, 0]
         self.force = command
         if push is None:
             self._generalised[:, 0] = command
         else:
-            self._generalised[:] = push
+            self._generalised[:] = checked_push(push, self.n)
             self._generalised[:, 0] += command
         self._plant_step(self.x, self._generalised, self._coefficients, self._substep, rig.substeps)
         if push is not None:

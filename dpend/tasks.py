@@ -48,6 +48,21 @@ class Task(Protocol):
         ...
 
 
+def checked_task(task: Task) -> Task:
+    """Refuse what is not a task, a class of tasks included.
+
+    Raises
+    ------
+    TypeError
+        If it is a class, or lacks what a task has.
+    """
+    if isinstance(task, type):
+        raise TypeError(f"Expected a task such as dpend.Balance(); got the class {task.__name__}. Call it first.")
+    if not all(hasattr(task, name) for name in ("steps", "hold", "starts", "ended", "upright", "cost")):
+        raise TypeError(f"Expected a task such as dpend.Balance(); got {task!r}.")
+    return task
+
+
 @cache
 def _kernels() -> ModuleType:
     """Load numba with the first state judged, not with `import dpend`."""
@@ -105,7 +120,7 @@ class ReportCost:
 
 
 def _checked_steps(steps: object) -> None:
-    if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+    if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
         raise ValueError(f"steps must be a whole number of samples, at least 1; got {steps!r}.")
 
 
@@ -165,7 +180,7 @@ class Balance(ReportCost):
         return _codes(x, rig, *self.angle_limits)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Tell which states have not fallen, which is all that balancing asks."""
+        """Tell that every state will do: balancing asks for nothing but to last."""
         return np.ones(len(x), dtype=np.bool_)
 
 
@@ -177,7 +192,7 @@ def check_lam(lam: float) -> None:
     ValueError
         Unless :math:`0 < \lambda \le \pi/2`.
     """
-    if not 0 < lam <= math.pi / 2:
+    if not isinstance(lam, int | float | np.floating) or not 0 < lam <= math.pi / 2:
         raise ValueError(
             f"lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; got {lam!r}."
         )
@@ -204,7 +219,7 @@ class SwingUp(ReportCost):
     steps : int
         Samples in a full episode; the report's 1000.
     hold : float
-        Time upright that makes a success, s.
+        Time upright that makes a success, s; a run shorter than that cannot succeed.
     upright_angle : float
         A link counts as up within this angle of the vertical, rad.
     state_weights, failure_cost
@@ -229,8 +244,8 @@ class SwingUp(ReportCost):
             raise ValueError(f"start must be one of {', '.join(map(repr, _STARTS))}; got {self.start!r}.")
         if not 0 <= self.spread <= math.pi:
             raise ValueError(f"spread must be within 0 and pi rad; got {self.spread!r}.")
-        if not (math.isfinite(self.hold) and self.hold >= 0):
-            raise ValueError(f"hold must be finite and at least 0 s; got {self.hold!r}.")
+        if not (math.isfinite(self.hold) and self.hold > 0):
+            raise ValueError(f"hold must be finite and greater than 0 s; got {self.hold!r}.")
         if not 0 < self.upright_angle < math.pi:
             raise ValueError(f"upright_angle must be between 0 and pi rad; got {self.upright_angle!r}.")
 

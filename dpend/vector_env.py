@@ -17,8 +17,6 @@ from .env import (
     check_render_mode,
     check_starts,
     checked_forces,
-    checked_rig,
-    checked_task,
     frames_per_second,
     held_long_enough,
     noise_seed,
@@ -28,10 +26,10 @@ from .env import (
 )
 from .kernels import compiled
 from .params import Array
-from .rig import Rig
+from .rig import Rig, as_rig
 from .state import as_states
 from .stepper import Stepper
-from .tasks import Balance, SwingUp, Task
+from .tasks import Balance, SwingUp, Task, checked_task
 
 Flags = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
@@ -80,7 +78,8 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
     """Copies of :class:`~dpend.env.CartDoublePendulumEnv`, stepped together.
 
     Observations ``(n, 6)`` or ``(n, 8)``, rewards ``(n,)`` and flags ``(n,)`` are those of single environments in
-    Gymnasium's ``SyncVectorEnv``; a copy does, bit for bit, what a single environment does from the same start.  Every
+    Gymnasium's ``SyncVectorEnv``; without noise a copy
+    does, bit for bit, what a single environment does from the same start.  Every
     array returned belongs to the caller.  ``infos`` speaks of episodes that are over: ``"status"``, the place of what
     ended them in ``list(dpend.Status)``, and ``"success"``, with the masks ``"_status"`` and ``"_success"``.  True
     states and applied forces are attributes.
@@ -138,7 +137,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise ValueError(f"num_envs must be a whole number, at least 1; got {num_envs!r}.")
         self.task = checked_task(task)
-        self.rig = checked_rig(rig)
+        self.rig = as_rig(rig)
         if self.rig.n not in (None, num_envs):
             raise ValueError(f"The rig describes {self.rig.n} rows; expected num_envs, which is {num_envs}.")
         self.num_envs = int(num_envs)

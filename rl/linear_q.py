@@ -25,9 +25,10 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from dpend.kernels import compiled, inline, sample, wrap_angle
 from dpend.params import Array, Coefficients
+from dpend.provenance import versions
 from dpend.rig import Rig
 from dpend.simulate import simulate_many
-from dpend.tasks import Balance
+from dpend.tasks import Balance, check_lam
 
 from . import features
 from .features import CART_FEATURES, TABLE1
@@ -40,6 +41,7 @@ REPORT_FORCES = (0.0, 5.0, -5.0, 10.0, -10.0, 20.0, -20.0, 40.0, -40.0)
 _VALUE_SCALES = (0.35846, 1.68729, 2.74029, 0.128418, 0.340911, 0.343562)
 _SLOPE_SCALES = (1.304099, 6.462294, 5.726458, 0.0557251, 0.0542309, 0.559797)
 
+_STREAM = (1867,)  # sets learning apart from starts drawn with the same seed
 _CHUNK = 200  # episodes between two looks at the keyboard and the progress bar
 
 
@@ -47,7 +49,7 @@ class Outcome(Enum):
     """How a training ended; the value says it."""
 
     CONVERGED = "The learner met its criterion of convergence."
-    DIVERGED = "A weight grew beyond the range of floating-point numbers."
+    DIVERGED = "A weight, or the state, grew beyond the range of floating-point numbers."
     BUDGET_SPENT = "The budget of episodes was spent without convergence."
 
 
@@ -159,12 +161,13 @@ class LinearQLearning:
         rig : Rig
             The rig.
         task : Balance, optional
-            Cost weights, failure cost and criterion, which the report does not state.
+            Cost weights and failure cost, which the report does not state; left out, those of the code published with
+            it, and the report's own criterion of falling, link 1 alone.
         cart_features : bool
             Whether the six features of the cart's position and velocity take part.
         """
         scales = tuple(1.0 if cart_features or i not in CART_FEATURES else 0.0 for i in range(len(TABLE1)))
-        return cls(rig=rig, task=task or Balance(), scales=scales)
+        return cls(rig=rig, task=task or Balance(criterion="report"), scales=scales)
 
     @classmethod
     def tuned(cls, rig: Rig, *, select: bool = True) -> LinearQLearning:
@@ -211,7 +214,7 @@ class LinearQLearning:
         Training
         """
         began = time.perf_counter()
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
         settings = self._settings()
         coefficients = np.array(self.rig.params.coefficients(), dtype=np.float64)
         scales, forces = np.array(self.scales), np.array(self.forces)
@@ -244,8 +247,14 @@ class LinearQLearning:
                     outcome = Outcome.CONVERGED
                     break
                 streak = 0
+        about = {
+            "learner": repr(self),
+            "seed": seed if isinstance(seed, int) else list(seed),
+            "outcome": outcome.name,
+            "versions": versions(),
+        }
         return Training(
-            policy=LinearQPolicy(weights, scales, forces),
+            policy=LinearQPolicy(weights, scales, forces, about=about),
             outcome=outcome,
             episodes=episodes,
             steps=int(lengths[:episodes].sum()),
@@ -291,6 +300,19 @@ class LinearQLearning:
 def _check(learner: LinearQLearning) -> None:
     """Refuse settings that make no sense, before anything runs."""
     rig = learner.rig
+    if not isinstance(rig, Rig):
+        raise TypeError(f"rig must be a dpend.Rig, such as dpend.rig('gustafsson2016'); got {rig!r}.")
+    if not isinstance(learner.task, Balance):
+        raise TypeError(f"task must be a dpend.Balance; got {learner.task!r}.")
+    for name in ("streak", "acceptance_episodes", "max_episodes", "restart_after"):
+        value = getattr(learner, name)
+        if not (isinstance(value, int) or (name == "restart_after" and value is None)):
+            raise TypeError(f"{name} must be a whole number; got {value!r}.")
+    for test in learner.acceptance:
+        lam, share = test
+        check_lam(lam)
+        if not 0 <= share <= 1:
+            raise ValueError(f"acceptance names pairs (lambda, share) with a share within 0 and 1; got {test!r}.")
     if rig.n is not None:
         raise ValueError(f"LinearQLearning trains on one plant; got a rig of {rig.n} rows.")
     if not rig.ideal:
@@ -339,6 +361,7 @@ class _Settings(NamedTuple):
     substeps: int
 
 
+_FIELDS = len(Coefficients._fields)
 _value_features = inline(features.make_value_features(wrap_angle))
 _slope_features = inline(features.slope_features)
 
@@ -383,7 +406,7 @@ def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, l
     Gives the episodes completed, the successes in a row at their end, and whether the weights are still finite.
     """
     s = settings
-    c_ = Coefficients(*to_fixed_tuple(coefficients, 15))  # pyright: ignore[reportCallIssue]
+    c_ = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]
     value, slope = np.empty(12), np.empty(6)
     x_sa, w_next = np.empty(18), np.empty(18)
     for episode in range(len(lengths)):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +32,8 @@ class LinearQPolicy:
         Factor of each feature; ones for the report's own.
     forces : array_like (m,)
         The action set :math:`A`, N.
+    about : mapping, optional
+        Where the weights come from, in words and numbers; saved with them.
 
     Raises
     ------
@@ -38,10 +43,21 @@ class LinearQPolicy:
 
     name = "linear Q-learning"
 
-    def __init__(self, weights: npt.ArrayLike, scales: npt.ArrayLike, forces: npt.ArrayLike) -> None:
+    def __init__(
+        self,
+        weights: npt.ArrayLike,
+        scales: npt.ArrayLike,
+        forces: npt.ArrayLike,
+        *,
+        about: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.about = dict(about or {})
         self.weights = _vector("weights", weights, len(TABLE1))
         self.scales = _vector("scales", scales, len(TABLE1))
         self.forces = _vector("forces", forces, None)
+
+    def __repr__(self) -> str:
+        return f"<{self.name}, seed {self.about.get('seed')}, {self.about.get('outcome', 'of unknown origin')}>"
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Give the law for ``n`` runs."""
@@ -74,6 +90,7 @@ class LinearQPolicy:
                 weights=self.weights,
                 scales=self.scales,
                 forces=self.forces,
+                about=np.array(json.dumps(self.about, default=str)),
             )
         return path
 
@@ -101,7 +118,8 @@ def load_policy(path: str | Path) -> LinearQPolicy:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             if str(file["format"]) != _FORMAT or str(file["kind"]) != "linear Q":
                 raise ValueError("another format")
-            return LinearQPolicy(file["weights"], file["scales"], file["forces"])
+            about = json.loads(str(file["about"]))
+            return LinearQPolicy(file["weights"], file["scales"], file["forces"], about=about)
     except FileNotFoundError:
         raise
     except Exception as error:

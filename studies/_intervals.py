@@ -33,11 +33,12 @@ def wilson(successes: int, n: int) -> Rate:
     return Rate(successes / n, float(interval.low), float(interval.high))
 
 
-def over_seeds(successes: npt.ArrayLike, n: int, *, seed: int = 0) -> Rate:
+def over_seeds(successes: npt.ArrayLike, n: int) -> Rate:
     """Give the mean success of several trained controllers, the training being the unit of replication.
 
-    The interval is the percentile bootstrap over trainings, or the Wilson interval of all episodes taken together
-    where that is wider, as when every controller has the same count.
+    The interval is Student's over trainings, cut off at 0 and 1, or the Wilson interval of all episodes taken together
+    where that is wider, as when every controller has the same count.  With ten trainings the bootstrap would cover the
+    truth in 90 % of cases only.
 
     Parameters
     ----------
@@ -45,8 +46,6 @@ def over_seeds(successes: npt.ArrayLike, n: int, *, seed: int = 0) -> Rate:
         Successes of each controller.
     n : int
         Episodes of each.
-    seed : int
-        What the resamples are drawn from.
 
     Returns
     -------
@@ -54,9 +53,8 @@ def over_seeds(successes: npt.ArrayLike, n: int, *, seed: int = 0) -> Rate:
     """
     counts = np.asarray(successes, dtype=np.int64)
     pooled = wilson(int(counts.sum()), n * len(counts))
-    if len(counts) < 2 or np.ptp(counts) == 0:
+    if len(counts) < 2:
         return pooled
-    interval = stats.bootstrap(
-        (counts / n,), np.mean, method="percentile", rng=np.random.default_rng(seed)
-    ).confidence_interval
-    return Rate(pooled.share, min(pooled.low, float(interval.low)), max(pooled.high, float(interval.high)))
+    half = stats.t.ppf(0.975, len(counts) - 1) * np.std(counts / n, ddof=1) / np.sqrt(len(counts))
+    low, high = max(0.0, pooled.share - half), min(1.0, pooled.share + half)
+    return Rate(pooled.share, min(pooled.low, float(low)), max(pooled.high, float(high)))

@@ -45,7 +45,7 @@ class Options:
     """What every study can be told on the command line."""
 
     out: Path | None = None
-    """Folder for table, figure and unfinished work; left out, results/ and the study's name."""
+    """Folder for table, figure and unfinished work; left out, results/ and the study's name (and -quick)."""
     seed: int = 0
     """What all randomness is drawn from."""
     workers: int = field(default_factory=lambda: os.cpu_count() or 1)
@@ -58,6 +58,10 @@ class Options:
             raise ValueError(f"--workers must be at least 1; got {self.workers}.")
         if self.seed < 0:
             raise ValueError(f"--seed must be at least 0; got {self.seed}.")
+
+
+class UnwritableError(Exception):
+    """The folder of a study's results cannot be written; the message says which, and why."""
 
 
 class Job(NamedTuple):
@@ -119,7 +123,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> list[Any]:
     try:
         options = tyro.cli(study.Options, args=arguments, description=inspect.getdoc(study), prog=f"python -m {name}")
         return run_study(name, options)
-    except (ValueError, OSError) as error:
+    except UnwritableError as error:
         console.print(f"[bold red]Error:[/] {error}", soft_wrap=True)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
@@ -144,16 +148,17 @@ def run_study(name: str, options: Options) -> list[Any]:
 
     Raises
     ------
-    ValueError
+    UnwritableError
         Before anything runs, if the folder cannot be written.
     """
     began = time.perf_counter()
     study = cast(Study, importlib.import_module(name))
     short = name.removeprefix("studies.")
-    out = _writable(options.out or Path("results") / short)
+    out = _writable(options.out or Path("results") / (f"{short}-quick" if options.quick else short))
     all_jobs = study.jobs(options)
     files = {job: out / "jobs" / f"{slug(job)}-{_key(name, job, options)}.json" for job in all_jobs}
-    _do(name, [(job, options, file) for job, file in files.items() if not file.exists()], len(files), options.workers)
+    missing = [(job, options, file) for job, file in files.items() if not file.exists()]
+    _do(name, missing, len(files), options.workers)
 
     results = {job: json.loads(file.read_text()) for job, file in files.items()}
     _write_rows(out / "rows.csv", study.Row, [row for result in results.values() for row in result["rows"]])
@@ -162,6 +167,7 @@ def run_study(name: str, options: Options) -> list[Any]:
         "study": name,
         "options": asdict(options) | {"out": None},
         "jobs": len(files),
+        "jobs_done_earlier": len(files) - len(missing),
         "source": _source(name),
         "versions": versions(),
         "job_seconds": sum(result["seconds"] for result in results.values()),
@@ -236,7 +242,7 @@ def _writable(out: Path) -> Path:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise ValueError(
+        raise UnwritableError(
             f"Cannot write to --out {out} ({error.strerror}); choose a folder that you may write to."
         ) from error
     return out
@@ -257,7 +263,7 @@ def _source(name: str) -> str:
 def _key(name: str, job: Job, options: Options) -> str:
     """Hash everything a job's result depends on."""
     told = {key: value for key, value in asdict(options).items() if key not in ("out", "workers")}
-    text = json.dumps([_source(name), job, told], sort_keys=True, default=str)
+    text = json.dumps([_source(name), versions(), job, told], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 

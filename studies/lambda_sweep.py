@@ -3,7 +3,7 @@
 Method: every controller balances gustafsson2016 from θ1, θ2 ~ U[-λ, λ] for 300 samples of 0.02 s, and saves a start if
 neither link falls and the cart stays on its track.  The classical controllers meet all starts; the k-th trained
 Q-controller meets the k-th part of them, 100 each by default as in the report, so that all face the same.  Intervals
-are 95 %: Wilson's for one controller, the bootstrap over trainings for learned ones.
+are 95 %: Wilson's for one controller, Student's over trainings for learned ones.
 
 Why Q-learning is bang-bang: each feature of the report's Table 1 is constant or linear in the action, so
 q(s, a) = c(s) + a g(s) is a straight line over the actions.  Its greatest value is always at an end of the action set,
@@ -93,6 +93,8 @@ class Options(_study.Options):
             raise ValueError("--lam needs at least one spread.")
         for lam in self.lam:
             check_lam(lam)
+        if len(set(self.lam)) < len(self.lam):
+            raise ValueError(f"--lam names a spread twice; got {self.lam}.")
         for name in ("controllers", "episodes"):
             if getattr(self, name) < 1:
                 raise ValueError(f"--{name} must be at least 1; got {getattr(self, name)}.")
@@ -246,7 +248,8 @@ def _plot_success(axis: Axes, rows: list[Row], names: list[str]) -> None:
     shown = {lam: share for lam, share in TABLE2.items() if lams[0] <= lam <= lams[-1]}
     if shown:
         axis.plot(list(shown), list(shown.values()), "k*", ms=10, label="the report's Table 2")
-    axis.set(xlabel="starting spread λ (rad)", ylabel="starts saved", ylim=(-0.03, 1.03), xticks=lams)
+    limits = lams[0] - 0.35 * spacing, lams[-1] + 0.35 * spacing
+    axis.set(xlabel="starting spread λ (rad)", ylabel="starts saved", xlim=limits, ylim=(-0.03, 1.03), xticks=lams)
     axis.yaxis.set_major_formatter(PercentFormatter(1.0))
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)

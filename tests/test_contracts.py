@@ -14,20 +14,24 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import controllers
 import dpend
+import rl
 from controllers import LQR, BangBang, Constant
 from dpend import Controller, Rig
 from dpend.controller import check_controller, is_batched
 from dpend.params import Array
+from rl import LinearQPolicy
 
 # What cannot be built from a rig alone; every other class with a method `start` must be.
 RECIPES: dict[str, Callable[[Rig], Any]] = {
     "BangBang": lambda rig: BangBang(LQR(rig), min(float(np.max(rig.force_limit)), 50.0)),
     "Constant": lambda rig: Constant(1.5),
+    "LinearQPolicy": lambda rig: LinearQPolicy(np.linspace(-1, 1, 18), np.ones(18), (0.0, -4.0, 4.0)),
 }
 NAMES = sorted(
     name
-    for name in controllers.__all__
-    if inspect.isclass(thing := getattr(controllers, name)) and hasattr(thing, "start")
+    for package in (controllers, rl)
+    for name in package.__all__
+    if inspect.isclass(thing := getattr(package, name)) and hasattr(thing, "start")
 )
 PRESETS = tuple(dpend.rigs())
 
@@ -36,9 +40,9 @@ PRESETS = tuple(dpend.rigs())
 def built(name: str, preset: str) -> Any:
     """Build a controller with its defaults; one that refuses the preset must say why."""
     rig = dpend.rig(preset)
-    make = getattr(controllers, name)
     if name in RECIPES:
         return RECIPES[name](rig)
+    make = getattr(controllers, name)
     try:
         return make(rig) if "rig" in inspect.signature(make).parameters else make()
     except ValueError as refusal:

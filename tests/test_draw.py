@@ -359,7 +359,7 @@ class Broken:
 
 
 SHORT = {
-    "ended at once": lambda: dpend.simulate(RIG, Zero(), [3.0, 0, 0, 0, 0, 0], 1.0),
+    "ended at once": lambda: dpend.simulate_many(RIG, Zero(), [3.0, 0, 0, 0, 0, 0], 1.0, record=True)[0],
     "one sample": lambda: dpend.simulate(RIG, Zero(), STATE, 0.02),
     "not finite": lambda: dpend.simulate(RIG, Broken(), STATE, 1.0),
 }

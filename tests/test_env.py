@@ -497,8 +497,8 @@ def _stepped(env: CartDoublePendulumEnv, action: Any) -> None:
         (
             lambda: balance().reset(options={"x0": [0, 2.0, 0, 0, 0, 0]}),
             ValueError,
-            "An episode cannot start where it ends; got x0 = [0.0, 2.0, 0.0, 0.0, 0.0, 0.0]: Link 1 fell below the "
-            "horizontal.",
+            "An episode cannot start where it ends; got x0 = [0.0, 2.0, 0.0, 0.0, 0.0, 0.0]: Link 1 fell: it leans by "
+            "more than a quarter turn.",
         ),
         (lambda: balance().step(np.zeros(1)), ResetNeeded, "There is no episode yet: call reset() before step()."),
         (

@@ -489,3 +489,9 @@ def test_what_is_no_state_is_refused(shape: tuple[int, ...]) -> None:
     for function in (lambda x: dpend.rates(x, 0.0, params), lambda x: dpend.energies(x, params)):
         with pytest.raises(ValueError, match=whole(message)):
             function(np.zeros(shape))
+
+
+def test_a_column_of_forces_is_refused() -> None:
+    message = "Expected forces on the cart of shape (4,), or generalised forces of shape (4, 3); got shape (4, 1)."
+    with pytest.raises(ValueError, match=whole(message)):
+        dpend.rates(np.zeros((4, 6)), np.zeros((4, 1)), dpend.rig("gustafsson2016").params)

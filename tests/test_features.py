@@ -10,8 +10,28 @@ from rl.policies import LinearQPolicy
 
 
 def features(x, a):
+    """What the learner uses."""
     value = make_value_features()(x)
     return np.array([*value, *(a * slope for slope in slope_features(x))])
+
+
+def named(name, x, a):
+    """Evaluate a feature from its name in the table."""
+    if name.startswith("|"):
+        return abs(named(name[1:-1], x, a))
+    if name.startswith("a "):
+        return a * named(name[2:], x, a)
+    if name.startswith("n("):
+        angle = named(name[2:-1], x, a)
+        return np.arctan2(np.sin(angle), np.cos(angle))
+    return x[dpend.NAMES.index(name)]
+
+
+def test_every_feature_is_what_its_name_says():
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        x, a = 3 * rng.normal(size=6), rng.normal()
+        assert features(x, a) == pytest.approx([named(name, x, a) for name in TABLE1], rel=1e-9, abs=1e-12)
 
 
 def test_the_features_are_those_of_table_1_in_its_order():
@@ -39,13 +59,12 @@ def test_the_cart_has_six_features():
     assert [TABLE1[i] for i in CART_FEATURES] == ["|pos|", "pos", "|vel|", "vel", "a pos", "a vel"]
 
 
-def test_q_is_a_straight_line_over_the_actions():
+def test_each_feature_named_in_table_1_is_a_straight_line_over_the_actions():
     rng = np.random.default_rng(0)
-    for _ in range(50):
-        w, x = rng.normal(size=18), rng.normal(size=6)
-        q = [w @ features(x, a) for a in (-40.0, -10.0, 20.0, 40.0)]
-        slopes = np.diff(q) / np.diff((-40.0, -10.0, 20.0, 40.0))
-        assert slopes == pytest.approx([slopes[0]] * 3, rel=1e-9, abs=1e-12)
+    for name in TABLE1:
+        x = rng.normal(size=6)
+        left, middle, right = (named(name, x, a) for a in (-40.0, -10.0, 20.0))
+        assert right - middle == pytest.approx(middle - left, rel=1e-9, abs=1e-12)
 
 
 def test_the_greedy_force_is_an_end_of_the_action_set_whatever_the_weights():

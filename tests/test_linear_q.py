@@ -9,13 +9,14 @@ import pytest
 import dpend
 from rl import LinearQLearning, LinearQPolicy, Outcome, load_policy
 from rl.features import make_value_features, slope_features
+from rl.linear_q import _STREAM
 
 RIG = dpend.rig("gustafsson2016")
 
 
 def algorithm_1(learner, seed, episodes):
     """The report's Algorithm 1 over the stepper, step by step as printed."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
     w, scales, forces = np.zeros(18), np.array(learner.scales), np.array(learner.forces)
     stepper, task = dpend.Stepper(learner.rig, 1), learner.task
 
@@ -177,3 +178,77 @@ def test_a_foreign_file_is_refused_and_runs_nothing(tmp_path):
 def test_a_policy_of_wrong_arrays_is_refused(arguments, message):
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         LinearQPolicy(*arguments)
+
+
+def test_published_has_the_reports_numbers():
+    learner = LinearQLearning.published(RIG)
+    assert (learner.alpha, learner.epsilon, learner.gamma, learner.bootstrap_failure) == (1e-4, 0.01, 0.99, True)
+    assert (learner.alpha_decay, learner.epsilon_decay, learner.acceptance, learner.restart_after) == (0, 0, (), None)
+    assert sorted(learner.forces) == [-40, -20, -10, -5, 0, 5, 10, 20, 40]
+    assert set(learner.scales) == {1.0}
+    assert (learner.task.lam, learner.task.steps, learner.task.criterion) == (0.1, 300, "report")
+
+
+def test_tuned_has_the_numbers_that_the_documentation_lists():
+    learner = LinearQLearning.tuned(RIG)
+    assert learner.acceptance == ((0.3, 0.82), (0.1, 0.99))
+    assert (learner.acceptance_episodes, learner.streak) == (100, 20)
+    assert (learner.restart_after, learner.max_episodes) == (1000, 20_000)
+    assert learner.task.criterion == "strict"
+
+
+def test_learning_goes_on_until_a_policy_is_accepted_and_all_tests_are_counted(monkeypatch):
+    asked = []
+
+    def stub(self, policy, rng):
+        asked.append(policy.weights.copy())
+        return len(asked) == 3, 1000
+
+    monkeypatch.setattr(LinearQLearning, "_accept", stub)
+    learner = replace(LinearQLearning.tuned(RIG), restart_after=None)
+    training = learner.train(3)
+    assert training.converged
+    assert len(asked) == 3
+    assert training.test_steps == 3000
+    assert (training.policy.weights == asked[-1]).all()
+    successes = training.lengths == 300
+    tested = [k for k in range(20, len(successes) + 1) if successes[k - 20 : k].all()]
+    assert successes[-20:].all()
+    assert len(tested) >= 3
+
+
+@pytest.mark.parametrize(("weak", "passes"), [(0, True), (1, False), (2, False)])
+def test_a_policy_must_save_its_share_at_every_spread_that_is_asked(weak, passes, monkeypatch):
+    spreads = []
+
+    class Saved:
+        def __init__(self, n, share):
+            self.success = np.arange(n) < round(share * n)
+            self.steps = np.full(n, 7)
+
+    def simulated(rig, policy, starts, task):
+        spreads.append(task.lam)
+        assert np.abs(starts[:, 1:3]).max() <= task.lam
+        assert np.abs(starts[:, 1:3]).max() > 0.8 * task.lam
+        return Saved(len(starts), {0.3: 0.81 if weak == 1 else 0.82, 0.1: 0.98 if weak == 2 else 0.99}[task.lam])
+
+    monkeypatch.setattr("rl.linear_q.simulate_many", simulated)
+    policy = LinearQPolicy(np.ones(18), np.ones(18), (-40.0, 40.0))
+    passed, samples = LinearQLearning.tuned(RIG)._accept(policy, np.random.default_rng(0))
+    assert passed == passes
+    assert spreads == ([0.3] if weak == 1 else [0.3, 0.1])
+    assert samples == 700 * len(spreads)
+
+
+def test_exploration_and_step_size_fall_with_the_episodes_since_the_restart():
+    learner = replace(LinearQLearning.tuned(RIG, select=False), max_episodes=400, streak=999, alpha_decay=1e6)
+    first = replace(learner, max_episodes=1).train(1).policy.weights
+    frozen = learner.train(1).policy.weights  # after the first episode the step size is next to nothing
+    np.testing.assert_allclose(frozen, first, atol=0.02 * np.abs(first).max())
+
+
+def test_a_policy_says_where_it_comes_from(tmp_path):
+    policy = LinearQLearning.tuned(RIG).train(101).policy
+    about = load_policy(policy.save(tmp_path / "p")).about
+    assert (about["seed"], about["outcome"]) == (101, "CONVERGED")
+    assert "alpha=0.00473758" in about["learner"]

@@ -363,3 +363,12 @@ def test_under_no_force_the_plant_moves_as_the_stepper_leaves_it() -> None:
         stepper.step(np.zeros(1))
     assert np.array_equal(run.x[-1], stepper.x[0])
     assert not np.array_equal(run.x[-1], run.x[0])
+
+
+@pytest.mark.parametrize("sample_time", [0.002, 0.0005])
+def test_margins_settle_as_the_sampling_grows_fast(sample_time: float) -> None:
+    rig = dpend.rig("gustafsson2016").replace(sample_time=sample_time)
+    margins = LQR(rig, Q=np.eye(6) * sample_time, R=sample_time).margins()  # the same integral, sampled finer
+    assert margins.disk == pytest.approx(0.67, abs=0.02)
+    assert margins.delay == pytest.approx(0.0485, abs=0.002)
+    assert margins.delay_samples == pytest.approx(margins.delay / sample_time)

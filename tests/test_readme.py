@@ -15,6 +15,14 @@ def test_every_example_runs(example, tmp_path, monkeypatch):
     exec(compile(example, "README.md", "exec"), {})
 
 
+def test_every_local_link_and_picture_is_in_the_repository():
+    root = Path(__file__).parent.parent
+    for page in [root / "README.md", root / "CONTRIBUTING.md", *root.glob("docs/*.md"), root / "benchmarks/README.md"]:
+        for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
+            if "://" not in target:
+                assert (page.parent / target).exists(), f"{page.name} points to {target}"
+
+
 def test_a_controller_takes_ten_lines():
     (example,) = (example for example in EXAMPLES if "class " in example)
     assert len([line for line in example.splitlines() if line.strip()]) <= 10

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import pickle
+import re
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
@@ -74,7 +75,7 @@ RUNS: dict[str, Callable[[], Run]] = {
         RIG.replace(sensor_noise=[1e-3, 1e-3, 1e-3, 0, 0, 0], sensor_delay=2, actuator_lag=0.01), Zero(), STARTS[0], 1.0
     ),
     "ended early": lambda: dpend.simulate(RIG, Constant(40.0), STARTS[0], 2.0),
-    "ended at once": lambda: dpend.simulate(RIG, Zero(), [3.0, 0, 0, 0, 0, 0], 1.0),
+    "ended at once": lambda: dpend.simulate_many(RIG, Zero(), [3.0, 0, 0, 0, 0, 0], 1.0, record=True)[0],
     "never ending": lambda: dpend.simulate(RIG.replace(track_limit=np.inf), Zero(), STARTS[0], 1.0, task=None),
     "swung up": lambda: dpend.simulate(RIG, Zero(), np.zeros(6), 2.0, task=dpend.SwingUp(), seed=7),
     "one of a batch": lambda: dpend.simulate_many(one_rig_a_row(12), Feedback(), STARTS, 1.0, record=True)[5],
@@ -357,3 +358,27 @@ def test_no_force_at_all_measures_zero() -> None:
 def test_one_signal_alone_is_refused_as_a_batch() -> None:
     with pytest.raises(ValueError, match=whole("Expected force signals of shape (N, T); got shape (5,).")):
         force_metrics(np.zeros(5), 0.02, 4.0)
+
+
+@pytest.mark.parametrize("record", [True, False])
+def test_saved_runs_come_back_exactly(tmp_path, record):
+    rig = dpend.rig("gustafsson2016").replace(mass1=[0.5, 0.6, 0.7], sensor_noise=0.001)
+    x0 = dpend.Balance(lam=0.4).starts(np.random.default_rng(3), 3, rig)
+    runs = dpend.simulate_many(rig, LQR(dpend.rig("gustafsson2016")), x0, 2.0, record=record, seed=7)
+    back = dpend.Runs.load(runs.save(tmp_path / "runs"))
+    assert back.rig == runs.rig
+    for name in ("t", "u", "steps", "codes", "success", "final", "travel", "time_up", "step_time"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(runs, name))
+    assert (back.x is None) == (not record)
+    if record:
+        np.testing.assert_array_equal(back.x, runs.x)
+        np.testing.assert_array_equal(back[1].y, runs[1].y)
+    assert (back.controller, back.task, back.seed) == (runs.controller, runs.task, 7)
+
+
+def test_one_run_is_not_taken_for_many(tmp_path):
+    rig = dpend.rig("gustafsson2016")
+    file = dpend.simulate(rig, LQR(rig), np.zeros(6), 0.1).save(tmp_path / "one")
+    message = f"{file} is not runs saved by Runs.save, or it is damaged."
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        dpend.Runs.load(file)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal, assert_equal
-from rigs import endless, random_params, random_states
+from rigs import endless, random_params, random_states, whole
 
 import dpend
 from controllers import LQR, Constant, Zero
@@ -335,8 +335,8 @@ def test_a_status_says_in_words_how_the_run_ended() -> None:
     assert [status.value for status in Status] == [
         "The run reached its full length.",
         "The cart reached the end of the track.",
-        "Link 1 fell below the horizontal.",
-        "Link 2 fell below the horizontal.",
+        "Link 1 fell: it leans by more than a quarter turn.",
+        "Link 2 fell: it leans by more than a quarter turn.",
         "The state is no longer a finite number.",
     ]
     assert [status.code for status in Status] == [0, 1, 2, 3, 4]
@@ -404,7 +404,7 @@ def falling_from_above(hold: float, samples: int) -> Run:
 
 
 def test_a_swing_up_succeeds_only_if_the_links_stayed_up_for_long_enough() -> None:
-    x = falling_from_above(0.0, 100).x
+    x = falling_from_above(0.02, 100).x
     up = (np.abs(x[:, 1:3]) <= 0.2).all(axis=1)
     lasted = int(np.argmin(up)) - 1  # the last sample at which both were still up
     assert 5 < lasted < 60
@@ -426,8 +426,27 @@ def test_the_time_up_is_when_both_links_came_up_for_good() -> None:
     assert 0 < arrived < 300
 
 
+def test_a_start_that_is_an_end_is_refused_with_a_word_on_radians() -> None:
+    message = (
+        "The run would end where it starts, at x0 = [0, 10, 0, 0, 0, 0]: Link 1 fell: it leans by more than a quarter "
+        "turn. Angles are in radians; choose another start, or task=None."
+    )
+    with pytest.raises(ValueError, match=whole(message)):
+        simulate(endless(), Zero(), [0, 10, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize("push", [lambda t: 5.0, lambda t: np.ones((4, 1)), lambda t: np.ones(4)])
+def test_a_push_of_another_shape_is_refused_before_anything_runs(push: Any) -> None:
+    message = (
+        "A push is a force on the cart in N and torques on link 1 and link 2 in N m: "
+        f"expected shape (3,) or (4, 3); got shape {np.shape(push(0.0))}."
+    )
+    with pytest.raises(ValueError, match=whole(message)):
+        simulate_many(endless(), Zero(), np.zeros((4, 6)), 1.0, push=push)
+
+
 def test_a_swing_up_that_leaves_the_track_fails() -> None:
-    run = simulate(endless(track_limit=0.2), Constant(10.0), HANGING, task=SwingUp(steps=50, hold=0.0))
+    run = simulate(endless(track_limit=0.2), Constant(10.0), HANGING, task=SwingUp(steps=50))
     assert (run.status, run.success) == (Status.TRACK_END, False)
 
 

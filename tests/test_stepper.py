@@ -450,14 +450,30 @@ def test_a_state_that_blows_up_leaves_its_neighbours_alone() -> None:
     assert np.array_equal(stepper.x[[0, 2]], other.x[[0, 2]])
 
 
+def test_the_applied_force_is_the_callers_to_keep_and_to_change() -> None:
+    stepper = Stepper(endless(actuator_lag=0.02), 2)
+    other = Stepper(endless(actuator_lag=0.02), 2)
+    for each in (stepper, other):
+        each.reset(at_rest(2))
+        each.step([10.0, 10.0])
+    kept = stepper.force
+    stepper.force[:] = 0.0
+    for each in (stepper, other):
+        each.step([10.0, 10.0])
+    assert np.array_equal(stepper.force, other.force)
+    applied = stepper.force
+    before = applied.copy()
+    stepper.reset(at_rest(2))
+    assert np.array_equal(applied, before)
+    assert np.array_equal(kept, [0.0, 0.0])
+
+
 @pytest.mark.parametrize("u", [np.zeros(2), np.zeros((3, 1)), 0.0])
 def test_a_force_for_each_row_is_asked_for(u: Any) -> None:
     stepper = Stepper(endless(), 3)
     stepper.reset(at_rest(3))
-    message = (
-        f"Expected one force per row, shape (3,); got shape {np.shape(u)}. "
-        "A law written as y @ K.T gives a column: take [:, 0]."
-    )
+    hint = " A law written as y @ K.T gives a column: take [:, 0]." if np.shape(u) == (3, 1) else ""
+    message = f"Expected one force per row, shape (3,); got shape {np.shape(u)}.{hint}"
     with pytest.raises(ValueError, match=whole(message)):
         stepper.step(u)
     assert np.array_equal(stepper.x, at_rest(3))

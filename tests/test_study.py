@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,7 @@ def test_other_options_are_other_work(tmp_path):
          "got 0.0."),
         (["--lam", "-0.2"], "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; "
          "got -0.2."),
+        (["--lam", "0.1", "0.1"], "--lam names a spread twice; got (0.1, 0.1)."),
         (["--controllers", "0"], "--controllers must be at least 1; got 0."),
         (["--episodes", "0"], "--episodes must be at least 1; got 0."),
         (["--workers", "0"], "--workers must be at least 1; got 0."),
@@ -131,6 +133,48 @@ def test_trained_controllers_meet_their_part_of_the_starts_that_lqr_meets_whole(
     policy = lambda_sweep.LEARNED["Q published"](rig).train([0, 2, 1]).policy
     assert second.successes == dpend.simulate_many(rig, policy, starts[30:], task=task).success.sum()
     assert second.episodes == 30
+
+
+def row(**changes):
+    made = {
+        "controller": "Q tuned", "training": 0, "lam": 0.1, "episodes": 100, "successes": 90, "successes_report": 95,
+        "outcome": "converged", "training_episodes": 1, "training_steps": 2, "test_steps": 3,
+    }  # fmt: skip
+    return lambda_sweep.Row(**(made | changes))
+
+
+def test_a_rate_is_of_one_controller_one_spread_and_one_criterion():
+    rows = [row(), row(training=1, successes=50), row(lam=0.2, successes=0), row(controller="LQR", successes=7)]
+    assert lambda_sweep.rate(rows, "Q tuned", 0.1).share == pytest.approx(0.7)
+    assert lambda_sweep.rate(rows, "Q tuned", 0.1, report=True).share == pytest.approx(0.95)
+    assert lambda_sweep.rate(rows, "LQR", 0.1).share == pytest.approx(0.07)
+    low, high = lambda_sweep.rate(rows, "Q tuned", 0.1)[1:]
+    assert high - low > 0.5  # two trainings that differ so tell little
+
+
+def test_the_count_of_the_converged_leaves_out_the_others():
+    rows = [row(), row(training=1, outcome="diverged"), row(training=1, lam=0.2, outcome="diverged")]
+    assert lambda_sweep._converged(rows, "Q tuned") == "1 of 2"
+
+
+def test_the_reports_table_is_what_the_report_says():
+    assert lambda_sweep.TABLE2 == {0.1: 0.94, 0.2: 0.92, 0.3: 0.78, 0.4: 0.49}
+
+
+@pytest.mark.parametrize("what", ["source", "version", "option", "seed"])
+def test_a_result_is_kept_only_for_the_same_sources_versions_and_options(what, monkeypatch):
+    job, options = _study.Job("LQR"), lambda_sweep.Options()
+    before = _study._key("studies.lambda_sweep", job, options)
+    assert _study._key("studies.lambda_sweep", job, replace(options, workers=7, out=Path("x"))) == before
+    if what == "source":
+        monkeypatch.setattr(_study, "fingerprint", lambda *sources: "other")
+    elif what == "version":
+        monkeypatch.setattr(_study, "versions", lambda: {"numpy": "99"})
+    elif what == "option":
+        options = replace(options, episodes=7)
+    else:
+        options = replace(options, seed=5)
+    assert _study._key("studies.lambda_sweep", job, options) != before
 
 
 def test_the_published_sweep_covers_every_combination():

@@ -197,8 +197,8 @@ def test_tasks_are_as_long_as_the_reports_unless_told_otherwise() -> None:
         (lambda: SwingUp(start="top"), "start must be one of 'hanging', 'side', 'anywhere'; got 'top'."),
         (lambda: SwingUp(spread=-0.1), "spread must be within 0 and pi rad; got -0.1."),
         (lambda: SwingUp(spread=4.0), "spread must be within 0 and pi rad; got 4.0."),
-        (lambda: SwingUp(hold=-1.0), "hold must be finite and at least 0 s; got -1.0."),
-        (lambda: SwingUp(hold=np.inf), "hold must be finite and at least 0 s; got inf."),
+        (lambda: SwingUp(hold=-1.0), "hold must be finite and greater than 0 s; got -1.0."),
+        (lambda: SwingUp(hold=np.inf), "hold must be finite and greater than 0 s; got inf."),
         (lambda: SwingUp(upright_angle=0.0), "upright_angle must be between 0 and pi rad; got 0.0."),
         (lambda: SwingUp(upright_angle=np.nan), "upright_angle must be between 0 and pi rad; got nan."),
         (
