@@ -9,7 +9,7 @@ Why Q-learning is bang-bang: each feature of the report's Table 1 is constant or
 q(s, a) = c(s) + a g(s) is a straight line over the actions.  Its greatest value is always at an end of the action set,
 so the greedy force is always +40 or -40 N.  No training can make it smooth; features with a² could.
 
-Finding: LQR saves 100/99.9/87.3/67.3 % at λ = .1/.2/.3/.4, Q-learning tuned 100/98.1/81.1/59.5 % (100 of 100 trainings
+Finding: LQR saves 100/99.9/87.3/67.3 % at λ = .1/.2/.3/.4, Q-learning tuned 100/98.4/82.2/61.3 % (100 of 100 trainings
 converge, by search and select), the report 94/92/78/49 %; as published no training converges (0 of 100).  From
 ``--controllers 100 --episodes 1000 --plain --seed 2``, kept in docs/results/lambda_sweep_100.
 """
