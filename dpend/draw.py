@@ -110,7 +110,7 @@ class Picture:
         dot: dict[str, Any] = {"ls": "", "marker": "o", "ms": 7, "mec": DARK, "mew": 1.5}
         self._joints, self._tip = Line2D([], [], mfc="white", **dot), Line2D([], [], mfc=DARK, gid="tip", **dot)
         ends = [left, right] if math.isfinite(track) else []
-        bodies = [self._rail, *ends, self._cart, self._arrow, *self._links, self._joints, self._tip]
+        bodies = [self._rail, *ends, self._cart, *self._links, self._joints, self._tip, self._arrow]
         for order, body in enumerate(bodies, start=1):
             body.set_zorder(order)
             axes.add_artist(body)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
-from typing import Any, TypeVar
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -31,8 +31,6 @@ _MESSAGES = tuple(status.value for status in Status)
 # checker warns of them.
 _FAR = float(np.finfo(np.float32).max)
 _OWN_KEYWORDS = ("rig", "forces", "observation", "render_mode")
-
-_AnyTask = TypeVar("_AnyTask", Balance, SwingUp)
 
 
 class CartDoublePendulumEnv(gym.Env[Array, Any]):
@@ -232,71 +230,42 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
             self._picture = None
 
 
-def balance(
-    rig: Rig | str = "gustafsson2016",
-    *,
-    forces: npt.ArrayLike | None = None,
-    observation: str = "raw",
-    render_mode: str | None = None,
-    **task: Any,
-) -> CartDoublePendulumEnv:
-    """Make ``dpend/Balance-v0``: keep both links up.
+def _maker(kind: type[Balance] | type[SwingUp]) -> Callable[..., CartDoublePendulumEnv]:
+    """Give the entry point that makes environments of one task."""
 
-    Parameters
-    ----------
-    rig, forces, observation, render_mode
-        See :class:`CartDoublePendulumEnv`.
-    **task
-        Parameters of :class:`dpend.Balance`, and no others.
+    def make(
+        rig: Rig | str = "gustafsson2016",
+        *,
+        forces: npt.ArrayLike | None = None,
+        observation: str = "raw",
+        render_mode: str | None = None,
+        **task: Any,
+    ) -> CartDoublePendulumEnv:
+        """Make the environment: the task's own parameters, and those of :class:`CartDoublePendulumEnv`.
 
-    Returns
-    -------
-    CartDoublePendulumEnv
+        Raises
+        ------
+        TypeError
+            If a parameter is unknown; the message suggests the nearest.
+        ValueError
+            If a value is out of its range.
+        """
+        chosen = task_from(kind, task, _OWN_KEYWORDS)
+        return CartDoublePendulumEnv(chosen, rig, forces=forces, observation=observation, render_mode=render_mode)
 
-    Raises
-    ------
-    TypeError
-        If a parameter is unknown; the message suggests the nearest.
-    ValueError
-        If a value is out of its range.
-    """
-    chosen = task_from(Balance, task, _OWN_KEYWORDS)
-    return CartDoublePendulumEnv(chosen, rig, forces=forces, observation=observation, render_mode=render_mode)
+    return make
 
 
-def swing_up(
-    rig: Rig | str = "gustafsson2016",
-    *,
-    forces: npt.ArrayLike | None = None,
-    observation: str = "raw",
-    render_mode: str | None = None,
-    **task: Any,
-) -> CartDoublePendulumEnv:
-    """Make ``dpend/SwingUp-v0``: bring both links up and keep them there.
+balance = _maker(Balance)
+"""Make ``dpend/Balance-v0``: keep both links up."""
 
-    Parameters
-    ----------
-    rig, forces, observation, render_mode
-        See :class:`CartDoublePendulumEnv`.
-    **task
-        Parameters of :class:`dpend.SwingUp`, and no others.
-
-    Returns
-    -------
-    CartDoublePendulumEnv
-
-    Raises
-    ------
-    TypeError
-        If a parameter is unknown; the message suggests the nearest.
-    ValueError
-        If a value is out of its range.
-    """
-    chosen = task_from(SwingUp, task, _OWN_KEYWORDS)
-    return CartDoublePendulumEnv(chosen, rig, forces=forces, observation=observation, render_mode=render_mode)
+swing_up = _maker(SwingUp)
+"""Make ``dpend/SwingUp-v0``: bring both links up and keep them there."""
 
 
-def task_from(kind: type[_AnyTask], parameters: Mapping[str, Any], others: tuple[str, ...]) -> _AnyTask:
+def task_from(
+    kind: type[Balance] | type[SwingUp], parameters: Mapping[str, Any], others: tuple[str, ...]
+) -> Balance | SwingUp:
     """Build a task from keywords.
 
     Parameters

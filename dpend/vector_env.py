@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
@@ -409,83 +410,43 @@ def _described(array: npt.NDArray[Any]) -> str:
     return f"shape {array.shape}, dtype {array.dtype}{values}"
 
 
-def balance_vector(
-    num_envs: int = 1,
-    rig: Rig | str = "gustafsson2016",
-    *,
-    forces: npt.ArrayLike | None = None,
-    observation: str = "raw",
-    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-    render_mode: str | None = None,
-    **task: Any,
-) -> CartDoublePendulumVectorEnv:
-    """Make copies of ``dpend/Balance-v0``.
+def _maker(kind: type[Balance] | type[SwingUp]) -> Callable[..., CartDoublePendulumVectorEnv]:
+    """Give the entry point that makes copies of one task's environment."""
 
-    Parameters
-    ----------
-    num_envs, rig, forces, observation, autoreset_mode, render_mode
-        See :class:`CartDoublePendulumVectorEnv`.
-    **task
-        Parameters of :class:`dpend.Balance`, and no others.
+    def make(
+        num_envs: int = 1,
+        rig: Rig | str = "gustafsson2016",
+        *,
+        forces: npt.ArrayLike | None = None,
+        observation: str = "raw",
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **task: Any,
+    ) -> CartDoublePendulumVectorEnv:
+        """Make the copies: the task's own parameters, and those of :class:`CartDoublePendulumVectorEnv`.
 
-    Returns
-    -------
-    CartDoublePendulumVectorEnv
+        Raises
+        ------
+        TypeError
+            If a parameter is unknown; the message suggests the nearest.
+        ValueError
+            If a value is out of its range.
+        """
+        return CartDoublePendulumVectorEnv(
+            task_from(kind, task, _OWN_KEYWORDS),
+            rig,
+            num_envs,
+            forces=forces,
+            observation=observation,
+            autoreset_mode=autoreset_mode,
+            render_mode=render_mode,
+        )
 
-    Raises
-    ------
-    TypeError
-        If a parameter is unknown; the message suggests the nearest.
-    ValueError
-        If a value is out of its range.
-    """
-    return CartDoublePendulumVectorEnv(
-        task_from(Balance, task, _OWN_KEYWORDS),
-        rig,
-        num_envs,
-        forces=forces,
-        observation=observation,
-        autoreset_mode=autoreset_mode,
-        render_mode=render_mode,
-    )
+    return make
 
 
-def swing_up_vector(
-    num_envs: int = 1,
-    rig: Rig | str = "gustafsson2016",
-    *,
-    forces: npt.ArrayLike | None = None,
-    observation: str = "raw",
-    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-    render_mode: str | None = None,
-    **task: Any,
-) -> CartDoublePendulumVectorEnv:
-    """Make copies of ``dpend/SwingUp-v0``.
+balance_vector = _maker(Balance)
+"""Make copies of ``dpend/Balance-v0``."""
 
-    Parameters
-    ----------
-    num_envs, rig, forces, observation, autoreset_mode, render_mode
-        See :class:`CartDoublePendulumVectorEnv`.
-    **task
-        Parameters of :class:`dpend.SwingUp`, and no others.
-
-    Returns
-    -------
-    CartDoublePendulumVectorEnv
-
-    Raises
-    ------
-    TypeError
-        If a parameter is unknown; the message suggests the nearest.
-    ValueError
-        If a value is out of its range.
-    """
-    return CartDoublePendulumVectorEnv(
-        task_from(SwingUp, task, _OWN_KEYWORDS),
-        rig,
-        num_envs,
-        forces=forces,
-        observation=observation,
-        autoreset_mode=autoreset_mode,
-        render_mode=render_mode,
-    )
+swing_up_vector = _maker(SwingUp)
+"""Make copies of ``dpend/SwingUp-v0``."""

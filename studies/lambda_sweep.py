@@ -55,7 +55,7 @@ LEARNED = {
 _WORDS = {
     "LQR": "LQR, Q = I, R = 1",
     "sign of LQR": "sign of that LQR",
-    "sign of stiff LQR": "sign of a stiffer LQR",
+    "sign of stiff LQR": "sign of a stiffer LQR (R = 0.1)",
     "Q published": "Q-learning as published",
     "Q tuned": "Q-learning tuned",
     "Q tuned, plain rule": "Q-learning tuned, plain rule",
