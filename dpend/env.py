@@ -19,10 +19,11 @@ from gymnasium import spaces
 from gymnasium.error import InvalidAction, ResetNeeded
 
 from .params import Array
-from .rig import Rig, as_rig, suggestion
+from .rig import Rig, as_rig
 from .state import as_states
 from .status import Status
 from .stepper import Stepper
+from .suggest import suggestion
 from .tasks import Balance, SwingUp, Task, checked_task
 
 _MESSAGES = tuple(status.value for status in Status)

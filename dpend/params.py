@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from .suggest import suggests
+
 Array = npt.NDArray[np.float64]
 Number = float | Array
 
@@ -105,6 +107,7 @@ def common_length(owner: str, values: dict[str, object]) -> int | None:
     return next(iter(lengths.values()), None)
 
 
+@suggests
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Params:
     r"""Masses, lengths, centres, inertias, frictions and gravity of a double pendulum on a cart, in SI units.

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .params import Number, Params, checked_number, common_length
+from .suggest import suggestion, suggests
 
 Count = int | npt.NDArray[np.int64]
 
@@ -71,6 +71,7 @@ def _checked_per_state(name: str, value: object) -> Number:
     return array
 
 
+@suggests
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rig:
     r"""A plant with its sample time, force and track limits, actuator and sensors.
@@ -220,13 +221,6 @@ class Rig:
 def _is_per_row(name: str, value: Any) -> bool:
     """Whether a field holds one entry per row, rather than one for all (a single number, or one per state)."""
     return isinstance(value, np.ndarray) and value.ndim == (2 if name in ("sensor_noise", "resolution") else 1)
-
-
-def suggestion(word: str, known: Iterable[str]) -> str:
-    """Give " Did you mean 'x'?" for the nearest known word, or the list of all where none is near."""
-    words = sorted(known)
-    near = difflib.get_close_matches(word, words, n=1)
-    return f" Did you mean {near[0]!r}?" if near else f" Known: {', '.join(words)}."
 
 
 def _gustafsson2016() -> Rig:

@@ -11,7 +11,6 @@ from .params import Array
 
 NAMES = ("pos", "th1", "th2", "vel", "om1", "om2")
 UNITS = ("m", "rad", "rad", "m/s", "rad/s", "rad/s")
-SYMBOLS = ("p", "θ1", "θ2", "v", "ω1", "ω2")
 
 _TURN = 2 * np.pi
 

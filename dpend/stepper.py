@@ -211,7 +211,7 @@ class Stepper:
             if self.n != 1:
                 np.maximum(command, self._least, out=command)
                 np.minimum(command, self._most, out=command)
-            elif abs(command.item()) > self._first_limit:  # for one number, a tenth of numpy's time
+            elif abs(command.item()) > self._first_limit:  # numpy takes far longer for one number
                 command[0] = math.copysign(self._first_limit, command.item())
         if self._lagged:
             command = command + self._rest * (self._drive - command)  # exact for a row without lag

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from .params import Array
 from .rig import Rig
 from .state import EQUILIBRIA
+from .suggest import suggests
 
 Codes = npt.NDArray[np.uint8]
 
@@ -124,6 +125,7 @@ def _checked_steps(steps: object) -> None:
         raise ValueError(f"steps must be a whole number of samples, at least 1; got {steps!r}.")
 
 
+@suggests
 @dataclass(frozen=True, kw_only=True)
 class Balance(ReportCost):
     r"""Keep both links up, from :math:`\theta_1, \theta_2 \sim U[-\lambda, \lambda]` with all else zero.
@@ -201,6 +203,7 @@ def check_lam(lam: float) -> None:
 _STARTS = ("hanging", "side", "anywhere")
 
 
+@suggests
 @dataclass(frozen=True, kw_only=True)
 class SwingUp(ReportCost):
     r"""Bring both links up from below and keep them there.

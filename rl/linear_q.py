@@ -28,6 +28,7 @@ from dpend.params import Array, Coefficients
 from dpend.provenance import versions
 from dpend.rig import Rig
 from dpend.simulate import simulate_many
+from dpend.suggest import suggests
 from dpend.tasks import Balance, check_lam
 
 from . import features
@@ -91,6 +92,7 @@ class Training:
         return self.outcome is Outcome.CONVERGED
 
 
+@suggests
 @dataclass(frozen=True, kw_only=True)
 class LinearQLearning:
     r"""Algorithm 1 of the report on a rig; the defaults are the report's hyper-parameters to the letter.

@@ -37,8 +37,7 @@ def over_seeds(successes: npt.ArrayLike, n: int) -> Rate:
     """Give the mean success of several trained controllers, the training being the unit of replication.
 
     The interval is Student's over trainings, cut off at 0 and 1, or the Wilson interval of all episodes taken together
-    where that is wider, as when every controller has the same count.  With ten trainings the bootstrap would cover the
-    truth in 90 % of cases only.
+    where that is wider, as when every controller has the same count.  The bootstrap is too narrow for ten trainings.
 
     Parameters
     ----------

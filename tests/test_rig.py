@@ -502,3 +502,17 @@ def test_wrong_use_is_refused_before_anything_runs(
     error: type[Exception], message: str, call: Callable[[], object]
 ) -> None:
     refused(error, message, call)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Params(cart_mas=1.0), "Params has no field 'cart_mas'. Did you mean 'cart_mass'?"),
+        (lambda: Rig(smple_time=0.02), "Rig has no field 'smple_time'. Did you mean 'sample_time'?"),
+        (lambda: dpend.Balance(lamb=0.1), "Balance has no field 'lamb'. Did you mean 'lam'?"),
+        (lambda: dpend.SwingUp(begin=1), "SwingUp has no field 'begin'. Known: failure_cost, hold, spread, start, "
+         "state_weights, steps, upright_angle."),
+    ],
+)  # fmt: skip
+def test_an_unknown_keyword_is_refused_with_the_nearest_known(call: Callable[[], object], message: str) -> None:
+    refused(TypeError, message, call)
