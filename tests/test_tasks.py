@@ -256,7 +256,7 @@ def test_the_four_equilibria_are_named_by_their_links_first_link_first() -> None
             x[0] = 1.0
 
 
-def test_every_state_has_a_name_a_unit_and_a_symbol() -> None:
+def test_every_state_has_a_name_and_a_unit() -> None:
     assert NAMES == ("pos", "th1", "th2", "vel", "om1", "om2")
     assert UNITS == ("m", "rad", "rad", "m/s", "rad/s", "rad/s")
 
