@@ -2,5 +2,6 @@
 
 from .constant import Constant, Zero
 from .lqr import LQR, BangBang, Margins
+from .trajectory import Trajectory
 
-__all__ = ["LQR", "BangBang", "Constant", "Margins", "Zero"]
+__all__ = ["LQR", "BangBang", "Constant", "Margins", "Trajectory", "Zero"]

@@ -1,4 +1,4 @@
-r"""The linear-quadratic regulator about upright, its margins, and the sign of a law."""
+r"""The linear-quadratic regulator about an equilibrium, its margins, and the sign of a law."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dpend.controller import Act, Controller, check_controller, is_batched
 from dpend.linear import discretize, linearize
 from dpend.params import Array
 from dpend.rig import Rig, as_rig
-from dpend.state import NAMES, nearest_upright
+from dpend.state import NAMES, as_equilibrium, deviation
 
 
 class Margins(NamedTuple):
@@ -50,10 +50,11 @@ class Margins(NamedTuple):
 
 
 class LQR:
-    r"""Law :math:`u = -Kx`, minimising :math:`\sum_k x_k^\top Q x_k + R u_k^2` on the plant linearised about upright.
+    r"""Law :math:`u = -K(x - x^*)`, minimising :math:`\sum_k (x_k - x^*)^\top Q (x_k - x^*) + R u_k^2`.
 
-    The design is discrete: the plant is sampled with its force held, so the gain is right for the sample time.  Angles
-    are taken to the nearest whole turn, so every upright is upright.
+    The plant is linearised about the equilibrium :math:`x^*` and the design is discrete: the plant is sampled with its
+    force held, so the gain is right for the sample time.  Angles are taken to the nearest whole turn, so every upright
+    is upright.
 
     Parameters
     ----------
@@ -63,6 +64,8 @@ class LQR:
         State weights, a diagonal ``(6,)`` or a matrix ``(6, 6)``, positive semidefinite; left out, the identity.
     R : float
         Weight of the force, greater than zero.
+    about : str or array_like (6,)
+        :math:`x^*`: the name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere.
     design : {"discrete", "continuous"}
         ``"continuous"`` minimises :math:`\int x^\top Q x + R u^2\,dt` for a force that may change at any time.  Held
         over a sample such a gain can be too high: with Q = (1, 10, 10, 1, 1, 1), R = 0.01 the loops of the light
@@ -73,14 +76,17 @@ class LQR:
     K : ndarray (1, 6)
         Gain.
     P : ndarray (6, 6)
-        Solution of the Riccati equation: :math:`x_0^\top P x_0` is the cost from :math:`x_0`.
+        Solution of the Riccati equation: :math:`(x_0 - x^*)^\top P (x_0 - x^*)` is the cost from :math:`x_0`.
+    about : ndarray (6,)
+        :math:`x^*`.
     poles : ndarray (6,)
         Eigenvalues of the sampled closed loop; inside the unit circle where it is stable.
 
     Raises
     ------
     ValueError
-        If the rig describes several plants, a weight has the wrong shape or sign, or there is no stabilising gain.
+        If the rig describes several plants, a weight has the wrong shape or sign, ``about`` is no equilibrium, or there
+        is no stabilising gain.
 
     Notes
     -----
@@ -95,6 +101,7 @@ class LQR:
         Q: npt.ArrayLike | None = None,
         R: float = 1.0,
         *,
+        about: str | npt.ArrayLike = "up-up",
         design: Literal["discrete", "continuous"] = "discrete",
     ) -> None:
         rig = as_rig(rig)
@@ -105,7 +112,8 @@ class LQR:
         if not (np.ndim(R) == 0 and math.isfinite(R) and R > 0):
             raise ValueError(f"R, the weight of the force, must be a finite number greater than 0; got {R!r}.")
         self.R = float(R)
-        A, B = self._plant = linearize(rig.params)
+        self.about = as_equilibrium(about)
+        A, B = self._plant = linearize(rig.params, self.about)
         self._Ad, self._Bd = discretize(A, B, rig.sample_time)
         try:
             if design == "discrete":
@@ -141,9 +149,9 @@ class LQR:
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Give the law for ``n`` runs."""
-        gain = self.K[0]
+        gain, about = self.K[0], self.about
         # A matrix product would round a row differently in batches of different size.
-        return lambda t, y: -np.einsum("ij,j->i", nearest_upright(y), gain)
+        return lambda t, y: -np.einsum("ij,j->i", deviation(y, about), gain)
 
     def margins(self) -> Margins:
         """Give the margins of the sampled loop :math:`L(z) = K(zI - A_d)^{-1}B_d`.

@@ -10,7 +10,11 @@ import numpy as np
 from .params import Array
 
 Act = Callable[[float, Array], Array]
-r"""The law at work, :math:`u = \mathrm{act}(t, y)`: time in s and measurements ``(n, 6)`` to forces ``(n,)`` in N."""
+r"""The law at work, :math:`u = \mathrm{act}(t, y)`: time in s and measurements ``(n, 6)`` to forces ``(n,)`` in N.
+
+A law that has more to tell carries an attribute ``log``, a mapping from names to lists that grow by one entry at each
+call: a number, or an array ``(n,)`` of one a row.  The records of runs keep it.
+"""
 
 
 @runtime_checkable

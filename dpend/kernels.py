@@ -238,10 +238,10 @@ def status_codes(x, track_limit, limit1, limit2, codes):
 
 
 @compiled
-def report_costs(x, codes, on_pos, on_th1, on_th2, failure_cost, costs):
-    r"""Fill in :math:`w \cdot (|p|, |n(\theta_1)|, |n(\theta_2)|)`, and the cost of failing where a code says so."""
+def report_costs(x, codes, th1, th2, on_pos, on_th1, on_th2, failure_cost, costs):
+    r"""Fill in the weighted distances :math:`|p|, |n(\theta_i - \theta_i^*)|`, summed, plus the cost of a failure."""
     for i in range(len(costs)):
-        cost = on_th1 * abs(wrap_angle(x[i, 1])) + on_th2 * abs(wrap_angle(x[i, 2]))
+        cost = on_th1 * abs(wrap_angle(x[i, 1] - th1)) + on_th2 * abs(wrap_angle(x[i, 2] - th2))
         if on_pos != 0.0:
             cost += on_pos * abs(x[i, 0])
         if codes[i] != 0:
@@ -250,7 +250,7 @@ def report_costs(x, codes, on_pos, on_th1, on_th2, failure_cost, costs):
 
 
 @compiled
-def links_upright(x, angle, upright):
-    """Fill in which states ``(n, 6)`` have both links within an angle of the vertical."""
+def links_upright(x, th1, th2, angle, upright):
+    """Fill in which states ``(n, 6)`` have both links within an angle of where they are to be."""
     for i in range(len(upright)):
-        upright[i] = (abs(wrap_angle(x[i, 1])) <= angle) & (abs(wrap_angle(x[i, 2])) <= angle)
+        upright[i] = (abs(wrap_angle(x[i, 1] - th1)) <= angle) & (abs(wrap_angle(x[i, 2] - th2)) <= angle)

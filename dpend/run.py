@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -42,6 +42,19 @@ def _read(path: str | Path, form: str) -> tuple[dict[str, Any], dict[str, npt.ND
     return about, arrays
 
 
+_LOG = "log "
+
+
+def _marked(log: Mapping[str, Array]) -> dict[str, npt.NDArray[Any]]:
+    """Give a log under names that nothing else in the file has."""
+    return {_LOG + name: told for name, told in log.items()}
+
+
+def _unmarked(arrays: dict[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+    """Take the log out of a file's arrays."""
+    return {name.removeprefix(_LOG): arrays.pop(name) for name in list(arrays) if name.startswith(_LOG)}
+
+
 def _check_arrays(arrays: dict[str, npt.NDArray[Any]], layout: Layout) -> None:
     if {name: (array.shape, array.dtype) for name, array in arrays.items()} != layout:
         raise ValueError("other arrays")
@@ -73,6 +86,8 @@ class Run:
         Forces applied over each sample, N.
     step_time : ndarray (T,)
         Seconds that the controller took for each.
+    log : mapping of str to ndarray (T,)
+        What the controller told of each of its steps, such as a solver's iterations.
     status : Status
         How the run ended.
     success : bool
@@ -100,6 +115,7 @@ class Run:
     task: str
     seed: int
     row: int = 0
+    log: Mapping[str, Array] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<run of {self.controller}, {self.t[-1]:g} s: {self.status.value}>"
@@ -172,7 +188,7 @@ class Run:
             "seed": self.seed,
             "row": self.row,
         }
-        arrays = {name: getattr(self, name) for name in ("t", "x", "y", "u", "step_time")}
+        arrays = {name: getattr(self, name) for name in ("t", "x", "y", "u", "step_time")} | _marked(self.log)
         return _write(Path(path), "dpend run 1", about, arrays)
 
     @classmethod
@@ -188,12 +204,14 @@ class Run:
         """
         with _reading(path, "Run"):
             about, arrays = _read(path, "dpend run 1")
+            log = _unmarked(arrays)
             steps = arrays["u"].size
             shapes = {"t": (steps + 1,), "x": (steps + 1, 6), "y": (steps + 1, 6), "u": (steps,), "step_time": (steps,)}
             _check_arrays(arrays, {name: (shape, np.float64) for name, shape in shapes.items()})
+            _check_arrays(log, dict.fromkeys(log, ((steps,), np.float64)))
             about["status"] = Status[about["status"]]
             about["rig"] = Rig.from_dict(about["rig"])
-            return cls(**arrays, **about)
+            return cls(**arrays, **about, log=log)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -221,6 +239,8 @@ class Runs:
     step_time : ndarray (N, T)
         Seconds that the controller took for each; a batched law's time is shared equally
         among all rows, and counts on until the last of its batch has ended.
+    log : mapping of str to ndarray (N, T)
+        What the controller told of each of its steps, such as a solver's iterations.
     x, y : ndarray (N, T + 1, 6), optional
         True and measured states, where they were recorded.
     rig : Rig
@@ -247,6 +267,7 @@ class Runs:
     first_row: int = 0
     x: Array | None = None
     y: Array | None = None
+    log: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.u)
@@ -296,6 +317,7 @@ class Runs:
             task=self.task,
             seed=self.seed,
             row=self.first_row + row,
+            log={name: told[row, :steps] for name, told in self.log.items()},
         )
 
     def save(self, path: str | Path) -> Path:
@@ -314,7 +336,8 @@ class Runs:
             "first_row": self.first_row,
         }
         arrays = {name: getattr(self, name) for name in self._layout(len(self), self.u.shape[1])}
-        return _write(Path(path), "dpend runs 1", about, {k: array for k, array in arrays.items() if array is not None})
+        kept = {k: array for k, array in arrays.items() if array is not None} | _marked(self.log)
+        return _write(Path(path), "dpend runs 1", about, kept)
 
     @classmethod
     def load(cls, path: str | Path) -> Runs:
@@ -329,10 +352,12 @@ class Runs:
         """
         with _reading(path, "Runs"):
             about, arrays = _read(path, "dpend runs 1")
+            log = _unmarked(arrays)
             layout = cls._layout(*arrays["u"].shape)
             _check_arrays(arrays, {k: form for k, form in layout.items() if k in arrays or k not in ("x", "y")})
+            _check_arrays(log, dict.fromkeys(log, (arrays["u"].shape, np.float64)))
             about["rig"] = Rig.from_dict(about["rig"])
-            return cls(**arrays, **about)
+            return cls(**arrays, **about, log=log)
 
     @staticmethod
     def _layout(n: int, samples: int) -> Layout:
@@ -365,4 +390,5 @@ class Runs:
         for name in ("x", "y"):
             if getattr(parts[0], name) is not None:
                 stacked[name] = np.concatenate([getattr(part, name) for part in parts])
-        return replace(parts[0], rig=rig, **stacked)
+        log = {name: np.concatenate([part.log[name] for part in parts]) for name in parts[0].log}
+        return replace(parts[0], rig=rig, log=log, **stacked)

@@ -11,7 +11,7 @@ from time import perf_counter
 import numpy as np
 import numpy.typing as npt
 
-from .controller import Controller, check_controller, is_batched
+from .controller import Act, Controller, check_controller, is_batched
 from .params import Array
 from .rig import Rig, as_rig
 from .run import Run, Runs
@@ -280,6 +280,7 @@ def _simulate_block(
         travel=travel,
         time_up=np.where(success & watch_upright, upright_since * rig.sample_time, np.nan),
         step_time=np.broadcast_to(seconds / n, (n, samples)),
+        log=_log(act, n, samples, after_end),
         rig=rig,
         controller=getattr(controller, "name", type(controller).__name__),
         task=repr(task),
@@ -288,3 +289,15 @@ def _simulate_block(
         x=None if true is None else true.transpose(1, 0, 2),
         y=None if measured is None else measured.transpose(1, 0, 2),
     )
+
+
+def _log(act: Act, n: int, samples: int, after_end: npt.NDArray[np.bool_]) -> dict[str, Array]:
+    """Give what the law tells of its steps as arrays ``(n, samples)``; NaN after a run's end."""
+    log: dict[str, Array] = {}
+    for name, entries in getattr(act, "log", {}).items():
+        told = np.full((samples, n), np.nan)
+        for k, entry in enumerate(entries):
+            told[k] = entry
+        told[after_end] = np.nan
+        log[name] = told.T
+    return log

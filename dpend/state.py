@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .params import Array
+from .suggest import suggestion
 
 NAMES = ("pos", "th1", "th2", "vel", "om1", "om2")
 UNITS = ("m", "rad", "rad", "m/s", "rad/s", "rad/s")
@@ -68,6 +69,57 @@ def nearest_upright(x: npt.ArrayLike) -> Array:
     """
     x = np.array(x, dtype=np.float64)
     x[..., 1:3] = wrap_angle(x[..., 1:3])
+    return x
+
+
+def deviation(x: npt.ArrayLike, about: npt.ArrayLike) -> Array:
+    r"""Give :math:`x - x^*` with both angles taken to the nearest whole turn.
+
+    Parameters
+    ----------
+    x : array_like
+        States ``(..., 6)``.
+    about : array_like
+        :math:`x^*`, a state ``(6,)`` or states that broadcast against ``x``.
+
+    Returns
+    -------
+    ndarray
+        New differences, angles within :math:`[-\pi, \pi]`.
+    """
+    return nearest_upright(np.asarray(x, dtype=np.float64) - np.asarray(about, dtype=np.float64))
+
+
+def as_equilibrium(about: str | npt.ArrayLike) -> Array:
+    """Give the equilibrium of that name, or check that a state is one, without a force and wherever the cart stands.
+
+    Parameters
+    ----------
+    about : str or array_like (6,)
+        One of :data:`EQUILIBRIA`, or a state at rest with each link straight up or down, by any number of turns.
+
+    Returns
+    -------
+    ndarray (6,)
+        Read-only.
+
+    Raises
+    ------
+    ValueError
+        If there is no such equilibrium; the message suggests the nearest.
+    """
+    if isinstance(about, str):
+        if about not in EQUILIBRIA:
+            raise ValueError(f"There is no equilibrium {about!r}.{suggestion(about, EQUILIBRIA)}")
+        return EQUILIBRIA[about]
+    x = np.array(about, dtype=np.float64)
+    at_rest = x.shape == (6,) and np.isfinite(x).all() and not x[3:].any()
+    if not at_rest or np.abs(np.sin(x[1:3])).max() > 1e-9:
+        raise ValueError(
+            f"An equilibrium is at rest with each link straight up or down: expected one of {', '.join(EQUILIBRIA)} or "
+            f"a state (pos, k1 pi, k2 pi, 0, 0, 0); got {about!r}."
+        )
+    x.setflags(write=False)
     return x
 
 

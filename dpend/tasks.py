@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from .params import Array
 from .rig import Rig
-from .state import EQUILIBRIA
+from .state import EQUILIBRIA, as_equilibrium
 from .suggest import suggests
 
 Codes = npt.NDArray[np.uint8]
@@ -83,8 +83,9 @@ def _codes(x: Array, rig: Rig, limit1: float, limit2: float) -> Codes:
 class ReportCost:
     r"""The report's two costs: :math:`w \cdot (|p|, |n(\theta_1)|, |n(\theta_2)|)` for a state, and one for failing.
 
-    :math:`n` is the difference to the nearest whole turn.  The report prints neither weight; the defaults follow the
-    code published with it, which weighs the angles by 10 and has no cost for failing.
+    :math:`n` is the difference to the nearest whole turn; a swing-up with another target counts from its angles.  The
+    report prints neither weight; the defaults follow the code published with it, which weighs the angles by 10 and has
+    no cost for failing.
 
     Parameters
     ----------
@@ -116,8 +117,13 @@ class ReportCost:
     def cost(self, x: Array, codes: Codes) -> Array:
         """Give the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
         costs = np.empty(len(x))
-        _kernels().report_costs(x, codes, *self.state_weights, self.failure_cost, costs)
+        _kernels().report_costs(x, codes, *self.target_angles, *self.state_weights, self.failure_cost, costs)
         return costs
+
+    @property
+    def target_angles(self) -> tuple[float, float]:
+        """Angles of link 1 and of link 2 from which the cost is counted, rad; upright unless a task says otherwise."""
+        return 0.0, 0.0
 
 
 def _checked_steps(steps: object) -> None:
@@ -200,31 +206,36 @@ def check_lam(lam: float) -> None:
         )
 
 
-_STARTS = ("hanging", "side", "anywhere")
+_STARTS = {"hanging": EQUILIBRIA["down-down"][1:3], "side": (math.pi / 2, math.pi / 2)} | {
+    name: x[1:3] for name, x in EQUILIBRIA.items()
+}
+"""Angles of the starts at rest."""
 
 
 @suggests
 @dataclass(frozen=True, kw_only=True)
 class SwingUp(ReportCost):
-    r"""Bring both links up from below and keep them there.
+    r"""Bring both links up from below, or from any equilibrium to another, and keep them there.
 
-    An episode fails at the end of the track only, and succeeds if both links were upright without a break for its
-    last ``hold`` seconds.
+    An episode fails at the end of the track only, and succeeds if both links were at the target's angles without a
+    break for its last ``hold`` seconds.
 
     Parameters
     ----------
-    start : {"hanging", "side", "anywhere"}
-        Both links down; both level to the positive side, :math:`(\pi/2, \pi/2)`, as in the report; or anything:
-        angles :math:`U[-\pi, \pi]`, the cart within half the track (1 m where it has no end), rates
-        :math:`\mathcal N(0, 1)` in m/s and rad/s.
+    start : str
+        "hanging", both links down; "side", both level to the positive side, :math:`(\pi/2, \pi/2)`, as in the report;
+        the name of one of ``dpend.EQUILIBRIA``; or "anywhere": angles :math:`U[-\pi, \pi]`, the cart within half the
+        track (1 m where it has no end), rates :math:`\mathcal N(0, 1)` in m/s and rad/s.
+    target : str
+        The name of the equilibrium that is to be reached; wherever it says "upright" here, this is meant.
     spread : float
-        Each angle of "hanging" and "side" is moved by :math:`U[-s, s]`, rad.
+        Each angle of a start at rest is moved by :math:`U[-s, s]`, rad.
     steps : int
         Samples in a full episode; the report's 1000.
     hold : float
         Time upright that makes a success, s; a run shorter than that cannot succeed.
     upright_angle : float
-        A link counts as up within this angle of the vertical, rad.
+        A link counts as up within this angle of where it is to be, rad.
     state_weights, failure_cost
         See :class:`ReportCost`.
 
@@ -235,6 +246,7 @@ class SwingUp(ReportCost):
     """
 
     start: str = "hanging"
+    target: str = "up-up"
     spread: float = 0.0
     steps: int = 1000
     hold: float = 1.0
@@ -243,14 +255,22 @@ class SwingUp(ReportCost):
     def __post_init__(self) -> None:
         super().__post_init__()
         _checked_steps(self.steps)
-        if self.start not in _STARTS:
-            raise ValueError(f"start must be one of {', '.join(map(repr, _STARTS))}; got {self.start!r}.")
+        if self.start != "anywhere" and self.start not in _STARTS:
+            known = (*_STARTS, "anywhere")
+            raise ValueError(f"start must be one of {', '.join(map(repr, known))}; got {self.start!r}.")
+        as_equilibrium(self.target)
         if not 0 <= self.spread <= math.pi:
             raise ValueError(f"spread must be within 0 and pi rad; got {self.spread!r}.")
         if not (math.isfinite(self.hold) and self.hold > 0):
             raise ValueError(f"hold must be finite and greater than 0 s; got {self.hold!r}.")
         if not 0 < self.upright_angle < math.pi:
             raise ValueError(f"upright_angle must be between 0 and pi rad; got {self.upright_angle!r}.")
+
+    @property
+    def target_angles(self) -> tuple[float, float]:
+        """Angles of link 1 and of link 2 that are to be reached, rad."""
+        _, th1, th2, *_ = as_equilibrium(self.target).tolist()
+        return th1, th2
 
     def starts(self, rng: np.random.Generator, n: int, rig: Rig) -> Array:
         """Draw ``n`` initial states."""
@@ -260,10 +280,8 @@ class SwingUp(ReportCost):
             x[:, 0] = reach * rng.uniform(-1.0, 1.0, n)
             x[:, 1:3] = rng.uniform(-np.pi, np.pi, (n, 2))
             return x
-        x = np.tile(EQUILIBRIA["down-down"], (n, 1))
-        if self.start == "side":
-            x[:, 1:3] = np.pi / 2
-        x[:, 1:3] += self.spread * rng.uniform(-1.0, 1.0, (n, 2))
+        x = np.zeros((n, 6))
+        x[:, 1:3] = _STARTS[self.start] + self.spread * rng.uniform(-1.0, 1.0, (n, 2))
         return x
 
     def ended(self, x: Array, rig: Rig) -> Codes:
@@ -271,9 +289,9 @@ class SwingUp(ReportCost):
         return _codes(x, rig, math.inf, math.inf)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Tell which states have both links within ``upright_angle`` of the vertical."""
+        """Tell which states have both links within ``upright_angle`` of the target's angles."""
         upright = np.empty(len(x), dtype=np.bool_)
-        _kernels().links_upright(x, self.upright_angle, upright)
+        _kernels().links_upright(x, *self.target_angles, self.upright_angle, upright)
         return upright
 
 

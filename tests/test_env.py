@@ -420,7 +420,7 @@ def _stepped(env: CartDoublePendulumEnv, action: Any) -> None:
             lambda: swing_up(lam=0.2),
             TypeError,
             "A SwingUp environment has no parameter 'lam'. Known: failure_cost, forces, hold, observation, "
-            "render_mode, rig, spread, start, state_weights, steps, upright_angle.",
+            "render_mode, rig, spread, start, state_weights, steps, target, upright_angle.",
         ),
         (
             lambda: balance(lam=0),

@@ -199,6 +199,16 @@ def test_a_mirrored_state_is_met_with_the_mirrored_force() -> None:
     assert np.array_equal(forces(sign, -y), -forces(sign, y))
 
 
+@pytest.mark.parametrize("name", dpend.EQUILIBRIA)
+def test_each_equilibrium_is_held_by_the_regulator_about_it(name: str) -> None:
+    rig = dpend.rig("gustafsson2016")
+    about = dpend.EQUILIBRIA[name] + np.array([0.5, 0, 0, 0, 0, 0])
+    start = about + np.array([0, 0.05, -0.05, 0, 0, 0])
+    run = dpend.simulate(rig, LQR(rig, about=about), start, 60.0, task=None)
+    assert np.abs(run.x[-1] - about).max() < 1e-6
+    assert np.abs(run.u).max() <= 40.0
+
+
 def test_every_upright_is_upright() -> None:
     y = random_states(RNG, 50, scale=0.4)
     y[:, 1:3] = RNG.uniform(-3, 3, (50, 2))

@@ -382,3 +382,40 @@ def test_one_run_is_not_taken_for_many(tmp_path):
     message = f"{file} is not runs saved by Runs.save, or it is damaged."
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         dpend.Runs.load(file)
+
+
+class Telling:
+    """A law that counts its calls and remembers what it saw."""
+
+    def start(self, n: int, rng: np.random.Generator) -> dpend.Act:
+        def act(t: float, y: Array) -> Array:
+            log["call"].append(len(log["call"]))
+            log["pos"].append(y[:, 0].copy())
+            return np.full(n, 5.0)
+
+        log: dict[str, list[Any]] = {"call": [], "pos": []}
+        act.log = log  # type: ignore[attr-defined]
+        return act
+
+
+def test_what_a_law_tells_of_its_steps_is_kept_with_the_run(tmp_path: Path) -> None:
+    starts = np.zeros((3, 6))
+    starts[:, 1] = [0.1, 0.6, 1.4]  # falling sooner and sooner
+    runs = dpend.simulate_many(RIG, Telling(), starts, 1.0, record=True)
+    assert runs.x is not None
+    assert len(set(runs.steps)) == 3
+    for row, run in enumerate(runs):
+        steps = runs.steps[row]
+        assert run.log["call"].tolist() == list(range(steps))
+        assert np.array_equal(run.log["pos"], run.x[:-1, 0])
+        assert np.isnan(runs.log["pos"][row, steps:]).all()
+        kept = Run.load(run.save(tmp_path / "run.npz"))
+        assert {name: told.tolist() for name, told in kept.log.items()} == {
+            name: told.tolist() for name, told in run.log.items()
+        }
+    many = Runs.load(runs.save(tmp_path / "runs.npz"))
+    assert all(np.array_equal(many.log[name], told, equal_nan=True) for name, told in runs.log.items())
+
+
+def test_laws_that_tell_nothing_leave_an_empty_log() -> None:
+    assert not dpend.simulate(RIG, Zero(), STARTS[0], 0.2).log

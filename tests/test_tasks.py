@@ -14,7 +14,7 @@ from scipy import stats
 import dpend
 from dpend import Balance, Status, SwingUp, Task, nearest_upright, wrap
 from dpend.params import Array
-from dpend.state import NAMES, UNITS, as_states
+from dpend.state import EQUILIBRIA, NAMES, UNITS, as_equilibrium, as_states, deviation
 from dpend.tasks import Unending
 
 RIG = dpend.rig("gustafsson2016")
@@ -68,7 +68,7 @@ def test_swing_up_from_anywhere_starts_each_row_on_its_own_track() -> None:
         looks_uniform(x0[row::3, 0], -reach, reach)
 
 
-@pytest.mark.parametrize("start", ["hanging", "side"])
+@pytest.mark.parametrize("start", ["hanging", "side", "up-down"])
 def test_the_spread_moves_each_angle_uniformly(start: str) -> None:
     moved = draw(SwingUp(start=start, spread=0.3)) - draw(SwingUp(start=start))
     for angle in (1, 2):
@@ -194,7 +194,11 @@ def test_tasks_are_as_long_as_the_reports_unless_told_otherwise() -> None:
         ),
         (lambda: SwingUp(steps=True), "steps must be a whole number of samples, at least 1; got True."),
         (lambda: Balance(criterion="lax"), 'criterion must be "strict" or "report"; got \'lax\'.'),
-        (lambda: SwingUp(start="top"), "start must be one of 'hanging', 'side', 'anywhere'; got 'top'."),
+        (
+            lambda: SwingUp(start="top"),
+            "start must be one of 'hanging', 'side', 'up-up', 'up-down', 'down-up', 'down-down', 'anywhere'; "
+            "got 'top'.",
+        ),
         (lambda: SwingUp(spread=-0.1), "spread must be within 0 and pi rad; got -0.1."),
         (lambda: SwingUp(spread=4.0), "spread must be within 0 and pi rad; got 4.0."),
         (lambda: SwingUp(hold=-1.0), "hold must be finite and greater than 0 s; got -1.0."),
@@ -276,3 +280,56 @@ def test_states_are_taken_by_copy_and_one_stands_for_all() -> None:
     )
     with pytest.raises(ValueError, match=whole(message)):
         as_states(x, 3)
+
+
+@pytest.mark.parametrize("target", EQUILIBRIA)
+def test_a_swing_up_to_any_equilibrium_starts_at_one_and_counts_from_the_other(target: str) -> None:
+    task = SwingUp(start=target, target=target)
+    x = draw(task, 2)
+    assert np.array_equal(x, np.tile(EQUILIBRIA[target], (2, 1)))
+    assert_allclose(task.cost(x, np.zeros(2, dtype=np.uint8)), 0.0, atol=1e-14)
+    x[1, 1:3] += 2 * np.pi * np.array([1, -2]) + [0.19, -0.19]
+    assert task.upright(x).all()
+    assert_allclose(task.cost(x, np.zeros(2, dtype=np.uint8)), [0.0, 3.8], atol=1e-12)
+    x[1, 2] -= 0.02
+    assert task.upright(x).tolist() == [True, False]
+
+
+def test_a_deviation_is_a_difference_with_its_angles_brought_back_to_one_turn() -> None:
+    rng = np.random.default_rng(3)
+    x, about = random_states(rng, 50), as_equilibrium("down-up")
+    off = deviation(x, about)
+    assert (np.abs(off[:, 1:3]) <= np.pi).all()
+    turns = (x - about - off) / (2 * np.pi)
+    assert_allclose(turns[:, 1:3], np.rint(turns[:, 1:3]), atol=1e-12)
+    assert not turns[:, [0, 3, 4, 5]].any()
+    assert not deviation(about, about).any()
+
+
+def test_an_equilibrium_may_stand_anywhere_and_have_turned_any_number_of_times() -> None:
+    x = [1.5, 3 * np.pi, -2 * np.pi, 0, 0, 0]
+    assert np.array_equal(as_equilibrium(x), x)
+    for name, state in EQUILIBRIA.items():
+        assert as_equilibrium(name) is state
+
+
+@pytest.mark.parametrize(
+    ("about", "message"),
+    [
+        ("up-donw", "There is no equilibrium 'up-donw'. Did you mean 'up-down'?"),
+        *(
+            (
+                state,
+                "An equilibrium is at rest with each link straight up or down: expected one of up-up, up-down, "
+                f"down-up, down-down or a state (pos, k1 pi, k2 pi, 0, 0, 0); got {state!r}.",
+            )
+            for state in ([0, 1, 0, 0, 0, 0], [0, 0, 0, 0, 1, 0], [0, np.nan, 0, 0, 0, 0], [0, 0, 0])
+        ),
+    ],
+)
+def test_what_is_no_equilibrium_is_refused(about: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=whole(message)):
+        as_equilibrium(about)
+    if isinstance(about, str):
+        with pytest.raises(ValueError, match=whole(message)):
+            SwingUp(target=about)

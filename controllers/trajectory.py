@@ -1,0 +1,129 @@
+"""A planned motion: states and forces, sample by sample, that replay on the plant as planned."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpend.params import Array
+from dpend.rig import Rig
+from dpend.state import as_equilibrium, as_states
+from dpend.stepper import Stepper
+
+_FORMAT = "dpend trajectory 1"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trajectory:
+    r"""States :math:`x_0 \dots x_N` and held forces :math:`u_0 \dots u_{N-1}` from a start to an equilibrium.
+
+    Parameters
+    ----------
+    rig : Rig
+        The plant, its limits, and the clock of the samples; actuator and sensors do not enter.
+    x : ndarray (N + 1, 6)
+        States.
+    u : ndarray (N,)
+        Forces, N, each held over one sample.
+    target : ndarray (6,)
+        The equilibrium it leads to, angles by as many turns as the states have.
+    about : mapping
+        Where it comes from, in words and numbers; saved with it.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit, a number is not finite, the rig describes several plants, or the target is no
+        equilibrium.
+    """
+
+    rig: Rig
+    x: Array
+    u: Array
+    target: Array
+    about: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.rig.n is not None:
+            raise ValueError(f"A trajectory belongs to one plant; got a rig of {self.rig.n} rows.")
+        u = np.array(self.u, dtype=np.float64)
+        if u.ndim != 1 or not len(u) or not np.isfinite(u).all():
+            raise ValueError(f"u must be finite forces of shape (N,), at least one; got shape {u.shape}.")
+        x = as_states(self.x, len(u) + 1)
+        for array in (x, u):
+            array.setflags(write=False)
+        object.__setattr__(self, "x", x)
+        object.__setattr__(self, "u", u)
+        object.__setattr__(self, "target", as_equilibrium(self.target))
+
+    def __repr__(self) -> str:
+        return f"<trajectory of {self.duration:g} s in {len(self.u)} samples, peak force {np.abs(self.u).max():.1f} N>"
+
+    @property
+    def t(self) -> Array:
+        """Times of the states ``(N + 1,)``, s."""
+        return self.rig.sample_time * np.arange(len(self.x), dtype=np.float64)
+
+    @property
+    def duration(self) -> float:
+        """Length, s."""
+        return self.rig.sample_time * len(self.u)
+
+    def defect(self) -> float:
+        """Give the greatest difference between a state and where the plant goes from the last, held for one sample."""
+        stepper = Stepper(_ideal(self.rig), len(self.u))
+        stepper.reset(self.x[:-1])
+        return float(np.abs(stepper.step(self.u) - self.x[1:]).max())
+
+    def save(self, path: str | Path) -> Path:
+        """Write the trajectory as a compressed ``.npz`` of plain arrays; nothing in it can run code.
+
+        Returns
+        -------
+        Path
+            The file; ``.npz`` is added where the name has no suffix.
+        """
+        path = Path(path)
+        if not path.suffix:
+            path = path.with_suffix(".npz")
+        text = json.dumps({"format": _FORMAT, "rig": self.rig.to_dict(), "about": dict(self.about)}, default=_plain)
+        with path.open("wb") as file:
+            np.savez_compressed(file, header=np.array(text), x=self.x, u=self.u, target=self.target)
+        return path
+
+    @classmethod
+    def load(cls, path: str | Path) -> Trajectory:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        OSError
+            If the file is not there or cannot be read.
+        ValueError
+            If it is not a saved trajectory, or is damaged.
+        """
+        try:
+            with Path(path).open("rb") as source, np.load(source, allow_pickle=False) as file:
+                header = json.loads(str(file["header"]))
+                if header["format"] != _FORMAT:
+                    raise ValueError("another format")
+                rig = Rig.from_dict(header["rig"])
+                return cls(rig=rig, x=file["x"], u=file["u"], target=file["target"], about=header["about"])
+        except OSError:
+            raise
+        except Exception as error:
+            raise ValueError(f"{path} is not a trajectory saved by Trajectory.save, or it is damaged.") from error
+
+
+def _ideal(rig: Rig) -> Rig:
+    """Give the plant with its clock and nothing in between."""
+    return Rig(params=rig.params, sample_time=rig.sample_time, substeps=rig.substeps)
+
+
+def _plain(of_numpy: Any) -> Any:
+    return of_numpy.tolist()
