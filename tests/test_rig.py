@@ -513,7 +513,7 @@ def test_wrong_use_is_refused_before_anything_runs(
         (
             dpend.SwingUp,
             "begin",
-            "Known: failure_cost, hold, spread, start, state_weights, steps, upright_angle.",
+            "Known: failure_cost, hold, spread, start, state_weights, steps, target, upright_angle.",
         ),
     ],
 )
