@@ -293,6 +293,48 @@ def _draw_limit(axes: Axes, signal: Array, limit: float, label: str) -> None:
     axes.set_ylim(low, high)
 
 
+def draw_strobe(axes: Axes, x: npt.ArrayLike, rig: Rig, *, pictures: int = 16) -> None:
+    """Draw a motion as a strobe light shows it: cart and links at equal intervals, later ones darker; the tip's path.
+
+    Parameters
+    ----------
+    axes : matplotlib.axes.Axes
+        Where; it is given equal scales, and the track where that has an end.
+    x : array_like (T + 1, 6)
+        States at equal intervals of time.
+    rig : Rig
+        One rig.
+    pictures : int
+        How many states to show, the first and the last among them; at least 2.
+
+    Raises
+    ------
+    ValueError
+        If a state is not finite, the rig describes several rows, or fewer than 2 pictures are asked for.
+    """
+    if rig.n is not None:
+        raise ValueError(f"A picture shows one rig; got a rig of {rig.n} rows. Take one of them with rig.rows(i).")
+    if pictures < 2:
+        raise ValueError(f"pictures must be at least 2; got {pictures!r}.")
+    states = as_states(x)
+    place = positions(states, rig.params)
+    reach = float(rig.params.length1 + rig.params.length2)
+    track = float(rig.track_limit)
+    if math.isfinite(track):
+        axes.plot([-track, track], [0, 0], color=GREY, lw=1.5, zorder=1)
+        axes.plot([-track, track], [0, 0], color=GREY, ls="", marker="|", ms=8, mew=2, zorder=1)
+    axes.plot(place.x_tip, place.y_tip, color=GREY, lw=0.7, zorder=2)
+    for order, k in enumerate(np.linspace(0, len(states) - 1, pictures).round().astype(int)):
+        age = 0.15 + 0.85 * order / (pictures - 1)
+        look: dict[str, Any] = {"alpha": age**1.5, "solid_capstyle": "round", "zorder": 3 + order}
+        axes.plot([states[k, 0], place.x_joint[k]], [0, place.y_joint[k]], color=BLUE, lw=2.2, **look)
+        axes.plot(
+            [place.x_joint[k], place.x_tip[k]], [place.y_joint[k], place.y_tip[k]], color=VERMILLION, lw=2.2, **look
+        )
+        axes.plot(states[k, 0], 0, color=DARK, marker="s", ms=4, mew=0, alpha=look["alpha"], zorder=look["zorder"])
+    axes.set(aspect="equal", ylim=(-1.1 * reach, 1.1 * reach))
+
+
 def animate_run(run: Run, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Path:
     """Write a film of a run, with time and force above the picture.
 

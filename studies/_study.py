@@ -37,6 +37,9 @@ from dpend.provenance import fingerprint, versions
 Traces = dict[str, dict[str, Array]]
 """Arrays for the figure, by job and by name."""
 
+Figures = Figure | Mapping[str, Figure]
+"""One figure, or several by what is added to the study's name."""
+
 _ROOT = Path(__file__).parent.parent
 
 
@@ -94,8 +97,8 @@ class Study(Protocol):
         """Do one job; the same job and options give the same result."""
         ...
 
-    def plot(self, rows: list[Any], traces: Traces, /) -> Figure:
-        """Draw the figure from the saved table."""
+    def plot(self, rows: list[Any], traces: Traces, /) -> Figures:
+        """Draw the figure, or several by name, from the saved table."""
         ...
 
     def summary(self, rows: list[Any], /) -> RenderableType:
@@ -176,8 +179,9 @@ def run_study(name: str, options: Options) -> list[Any]:
     _write(out / "meta.json", json.dumps(meta, indent=2, default=str) + "\n")
 
     rows = read_rows(out / "rows.csv", study.Row)
-    figure = study.plot(rows, read_traces(out / "traces.npz"))
-    figure.savefig(out / f"{short}.png", dpi=200)
+    figures = study.plot(rows, read_traces(out / "traces.npz"))
+    for added, figure in (figures if isinstance(figures, Mapping) else {"": figures}).items():
+        figure.savefig(out / f"{short}{added}.png", dpi=200)
     console = Console()
     console.print(study.summary(rows))
     console.print(f"Figure, table and settings are in {out}/.", soft_wrap=True, highlight=False)

@@ -18,6 +18,7 @@ import pytest
 from matplotlib.artist import Artist
 from matplotlib.backend_bases import FigureManagerBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrow, Rectangle
 from PIL import Image, ImageSequence
@@ -26,7 +27,7 @@ from rigs import endless, random_states, whole
 import dpend
 from controllers import LQR, Constant, Zero
 from dpend import Run
-from dpend.draw import Picture, animate_run, plot_run
+from dpend.draw import Picture, animate_run, draw_strobe, plot_run
 
 RIG = dpend.rig("gustafsson2016")
 STATE = np.array([0.3, 0.4, -0.5, 0.0, 0.0, 0.0])
@@ -343,6 +344,30 @@ def test_the_force_limit_is_named_and_in_view_when_the_force_comes_near(force: f
     assert [*np.unique(line.get_ydata())] == [40.0]
     low, high = axes.get_ylim()
     assert (low < -40.0 and high > 40.0) == in_view
+
+
+@pytest.mark.parametrize("pictures", [2, 7])
+def test_a_strobe_picture_shows_links_where_the_positions_say_the_first_and_the_last_among_them(
+    run: Run, pictures: int
+) -> None:
+    axes = Figure().subplots()
+    draw_strobe(axes, run.x, RIG, pictures=pictures)
+    place = dpend.positions(run.x, RIG.params)
+    ends = np.array([np.asarray(line.get_xydata())[1] for line in axes.lines if line.get_color() == "#D55E00"])
+    assert len(ends) == pictures
+    tips = np.column_stack([place.x_tip, place.y_tip])
+    assert np.array_equal(ends[[0, -1]], tips[[0, -1]])
+    assert set(map(tuple, ends.tolist())) <= set(map(tuple, tips.tolist()))
+    assert axes.get_aspect() == 1.0
+
+
+def test_a_strobe_picture_refuses_a_single_picture_and_a_batch_of_rigs(run: Run) -> None:
+    axes = Figure().subplots()
+    with pytest.raises(ValueError, match=whole("pictures must be at least 2; got 1.")):
+        draw_strobe(axes, run.x, RIG, pictures=1)
+    message = "A picture shows one rig; got a rig of 2 rows. Take one of them with rig.rows(i)."
+    with pytest.raises(ValueError, match=whole(message)):
+        draw_strobe(axes, run.x, RIG.replace(mass1=np.ones(2)))
 
 
 def test_a_rig_without_limits_has_none_drawn() -> None:

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import dpend
 from studies import _study, lambda_sweep, published_q
+from tests import study_example
 
 ROOT = Path(__file__).parent.parent
 
@@ -33,6 +35,12 @@ def test_a_study_writes_table_settings_traces_and_figure(tmp_path):
     assert meta["versions"]["numpy"] == np.__version__
     assert (tmp_path / "tests.study_example.png").stat().st_size > 1000
     assert set(_study.read_traces(tmp_path / "traces.npz")) == {"nap-0", "nap-1", "nap-2"}
+
+
+def test_a_study_may_draw_several_figures(tmp_path, monkeypatch):
+    monkeypatch.setattr(study_example, "plot", lambda rows, traces: {"": Figure(), "_more": Figure()})
+    _study.main("tests.study_example", ["--out", str(tmp_path), "--workers", "1", "--jobs", "1"])
+    assert {file.name for file in tmp_path.glob("*.png")} == {"tests.study_example.png", "tests.study_example_more.png"}
 
 
 def test_several_workers_give_the_same_table(tmp_path):
