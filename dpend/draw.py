@@ -323,15 +323,15 @@ def draw_strobe(axes: Axes, x: npt.ArrayLike, rig: Rig, *, pictures: int = 16) -
     if math.isfinite(track):
         axes.plot([-track, track], [0, 0], color=GREY, lw=1.5, zorder=1)
         axes.plot([-track, track], [0, 0], color=GREY, ls="", marker="|", ms=8, mew=2, zorder=1)
-    axes.plot(place.x_tip, place.y_tip, color=GREY, lw=0.7, zorder=2)
+    across = np.stack([states[:, 0], place.x_joint, place.x_tip], axis=1)
+    up = np.stack([np.zeros(len(states)), place.y_joint, place.y_tip], axis=1)
+    axes.plot(across[:, 2], up[:, 2], color=GREY, lw=0.7, zorder=2)
     for order, k in enumerate(np.linspace(0, len(states) - 1, pictures).round().astype(int)):
         age = 0.15 + 0.85 * order / (pictures - 1)
-        look: dict[str, Any] = {"alpha": age**1.5, "solid_capstyle": "round", "zorder": 3 + order}
-        axes.plot([states[k, 0], place.x_joint[k]], [0, place.y_joint[k]], color=BLUE, lw=2.2, **look)
-        axes.plot(
-            [place.x_joint[k], place.x_tip[k]], [place.y_joint[k], place.y_tip[k]], color=VERMILLION, lw=2.2, **look
-        )
-        axes.plot(states[k, 0], 0, color=DARK, marker="s", ms=4, mew=0, alpha=look["alpha"], zorder=look["zorder"])
+        look: dict[str, Any] = {"alpha": age**1.5, "zorder": 3 + order}
+        for link, color in ((slice(0, 2), BLUE), (slice(1, 3), VERMILLION)):
+            axes.plot(across[k, link], up[k, link], color=color, lw=2.2, solid_capstyle="round", **look)
+        axes.plot(across[k, 0], 0, color=DARK, marker="s", ms=4, mew=0, **look)
     axes.set(aspect="equal", ylim=(-1.1 * reach, 1.1 * reach))
 
 
