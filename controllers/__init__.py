@@ -1,7 +1,29 @@
 """Classical controllers for the inverted double pendulum on a cart."""
 
 from .constant import Constant, Zero
+from .energy import EnergyPump, EnergySwingUp
+from .estimators import EKF, UKF, Predictor, WithEstimator
 from .lqr import LQR, BangBang, Margins
+from .sdre import SDRE
+from .switching import Ahead, Catch, Ellipsoid, NearEnergy
 from .trajectory import Trajectory
 
-__all__ = ["LQR", "BangBang", "Constant", "Margins", "Trajectory", "Zero"]
+__all__ = [
+    "EKF",
+    "LQR",
+    "SDRE",
+    "UKF",
+    "Ahead",
+    "BangBang",
+    "Catch",
+    "Constant",
+    "Ellipsoid",
+    "EnergyPump",
+    "EnergySwingUp",
+    "Margins",
+    "NearEnergy",
+    "Predictor",
+    "Trajectory",
+    "WithEstimator",
+    "Zero",
+]

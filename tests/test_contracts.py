@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import controllers
 import dpend
 import rl
-from controllers import LQR, BangBang, Constant
+from controllers import EKF, LQR, BangBang, Catch, Constant, EnergyPump, WithEstimator
 from dpend import Controller, Rig
 from dpend.controller import check_controller, is_batched
 from dpend.params import Array
@@ -24,8 +24,10 @@ from rl import LinearQPolicy
 # What cannot be built from a rig alone; every other class with a method `start` must be.
 RECIPES: dict[str, Callable[[Rig], Any]] = {
     "BangBang": lambda rig: BangBang(LQR(rig), min(float(np.max(rig.force_limit)), 50.0)),
+    "Catch": lambda rig: Catch(rig, EnergyPump(rig)),
     "Constant": lambda rig: Constant(1.5),
     "LinearQPolicy": lambda rig: LinearQPolicy(np.linspace(-1, 1, 18), np.ones(18), (0.0, -4.0, 4.0)),
+    "WithEstimator": lambda rig: WithEstimator(EKF(rig), LQR(rig)),
 }
 NAMES = sorted(
     name

@@ -1,0 +1,263 @@
+r"""Swing-up by energy: the passivity law of the whole plant, and pumping of the links by the cart's acceleration.
+
+Both steer the energy to that of upright at rest, :math:`E_r = f_1 + f_2`.  That is one number out of six: neither
+steers the state to upright, and what comes near must be caught (:class:`controllers.switching.Catch`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from dpend.controller import Act
+from dpend.params import Array
+from dpend.plant import energies, rates
+from dpend.rig import Rig, as_rig
+
+
+class EnergySwingUp:
+    r"""Law :math:`F = -(k_v\alpha + k_x p + k_d\dot p)/(k_E(E - E_r) + k_v\beta)`, shaping energy by passivity.
+
+    The cart's acceleration is :math:`\ddot p = \beta F + \alpha`.  Without friction :math:`\dot E = F\dot p`, so that under this force
+
+    .. math::
+        V = \tfrac{k_E}{2}(E - E_r)^2 + \tfrac{k_v}{2}\dot p^2 + \tfrac{k_x}{2}p^2, \qquad \dot V = -k_d\,\dot p^2 .
+
+    The energy is never below :math:`-E_r`, and :math:`\beta = (D^{-1})_{11}` is least with both links level, where it
+    is one over the mass of everything.  So the denominator keeps its sign, and the law is regular, if
+    :math:`k_v\min\beta > 2 k_E E_r`.  A force that is held or limited, and friction, each break :math:`\dot V \le 0`.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        What the law believes: the plant, and the track's length for a default gain.
+    k_energy : float
+        :math:`k_E`, 1/J^2, greater than zero; left out, :math:`1/E_r^2`.
+    k_velocity : float
+        :math:`k_v`, s^2/m^2; left out, 1.25 times the least that is regular.
+    k_x : float
+        :math:`k_x`, 1/m^2, greater than zero; left out, 20 over the square of the track's limit, or of the length of
+        both links where the track has no end.
+    k_d : float
+        :math:`k_d`, s/m^2, greater than zero; left out, :math:`0.06\sqrt{k_x k_v}`.
+    kick : float
+        Force of the first sample, N, for a run that starts hanging at rest, where the law answers zero for ever; left
+        out, a tenth of the weight of everything.
+
+    Attributes
+    ----------
+    energy : float
+        :math:`E_r`, J, zero being both centres of mass at the height of the cart's joint.
+
+    Raises
+    ------
+    ValueError
+        If the rig describes several plants or has no gravity, a gain is not greater than zero, or the law is singular.
+
+    Notes
+    -----
+    Source: W. Zhong and H. Röck, *Energy and passivity based control of the double inverted pendulum on a cart*,
+    IEEE Conference on Control Applications, 2001.
+    """
+
+    name = "energy swing-up"
+
+    def __init__(
+        self,
+        rig: Rig | str,
+        *,
+        k_energy: float | None = None,
+        k_velocity: float | None = None,
+        k_x: float | None = None,
+        k_d: float | None = None,
+        kick: float | None = None,
+    ) -> None:
+        self.rig, self.energy = _checked_rig(rig, "EnergySwingUp")
+        c = self.rig.params.coefficients()
+        self.k_energy = _positive("k_energy", 1 / self.energy**2 if k_energy is None else k_energy)
+        least = 2 * self.k_energy * self.energy * float(c.d1)
+        self.k_velocity = _positive("k_velocity", 1.25 * least if k_velocity is None else k_velocity)
+        if not self.k_velocity > least:
+            raise ValueError(
+                "The law is singular: it needs k_velocity * min beta > 2 * k_energy * Er, and with "
+                f"k_velocity = {self.k_velocity:g}, min beta = 1 / ({c.d1:g} kg), k_energy = {self.k_energy:g} and "
+                f"Er = {self.energy:g} J that is {self.k_velocity / c.d1:g} > {least / c.d1:g}; "
+                f"let k_velocity be greater than {least:g}."
+            )
+        self.k_x = _positive("k_x", 20 / _reach(self.rig) ** 2 if k_x is None else k_x)
+        self.k_d = _positive("k_d", 0.06 * math.sqrt(self.k_x * self.k_velocity) if k_d is None else k_d)
+        self.kick = _checked_kick(self.rig, kick)
+
+    def __repr__(self) -> str:
+        gains = ", ".join(f"{name} = {getattr(self, name):.4g}" for name in ("k_energy", "k_velocity", "k_x", "k_d"))
+        return f"<energy swing-up, {gains}>"
+
+    def lyapunov(self, x: npt.ArrayLike) -> Array:
+        r"""Give :math:`V` of states ``(..., 6)``, which no unlimited and unheld force of this law lets rise."""
+        x = np.asarray(x, dtype=np.float64)
+        missing = energies(x, self.rig.params).total - self.energy
+        return 0.5 * (self.k_energy * missing**2 + self.k_velocity * x[..., 3] ** 2 + self.k_x * x[..., 0] ** 2)
+
+    def force(self, x: npt.ArrayLike) -> Array:
+        """Give the law's answer to states ``(..., 6)``, N."""
+        x = np.asarray(x, dtype=np.float64)
+        alpha, beta = _cart_response(x, self.rig)
+        missing = energies(x, self.rig.params).total - self.energy
+        wanted = self.k_velocity * alpha + self.k_x * x[..., 0] + self.k_d * x[..., 3]
+        return -wanted / (self.k_energy * missing + self.k_velocity * beta)
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Give the law for ``n`` runs."""
+        return _with_kick(self.force, self.kick, self.rig, self.energy)
+
+
+class EnergyPump:
+    r"""Cart acceleration :math:`a = a_\max\,\mathrm{sat}\big(\kappa\,\mu\,(E_l - E_r)/E_r\big) - k_x p - k_d\dot p`.
+
+    :math:`E_l` is the energy of the links seen from the cart and :math:`\mu = d_2\omega_1\cos\theta_1 +
+    d_3\omega_2\cos\theta_2` their momentum along the track, seen so too.  Without friction :math:`\dot E_l = -a\mu`:
+    the first term never drives the energy away from :math:`E_r`, and the others keep the cart on its track.  The force
+    that gives the cart this acceleration is :math:`F = (a - \alpha)/\beta`, with :math:`\ddot p = \beta F + \alpha`.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        What the law believes: the plant, and the track's length for a default gain.
+    acceleration : float
+        :math:`a_\max`, m/s^2, greater than zero; left out, that of gravity.
+    gain : float
+        :math:`\kappa`, s/(kg m), greater than zero; left out, :math:`5\sqrt{(L_1 + L_2)/g}/(d_2 + d_3)`.
+    k_x : float
+        :math:`k_x`, 1/s^2, greater than zero; left out, gravity over the track's limit, or over the length of both
+        links where the track has no end.
+    k_d : float
+        :math:`k_d`, 1/s, greater than zero; left out, :math:`\sqrt{k_x}`.
+    kick : float
+        Force of the first sample, N, for a run that starts hanging at rest, where the law answers zero for ever; left
+        out, a tenth of the weight of everything.
+
+    Attributes
+    ----------
+    energy : float
+        :math:`E_r`, J, zero being both centres of mass at the height of the cart's joint.
+
+    Raises
+    ------
+    ValueError
+        If the rig describes several plants or has no gravity, or a gain is not greater than zero.
+
+    Notes
+    -----
+    Source: K. Åström and K. Furuta, *Swinging up a pendulum by energy control*, Automatica 36, 2000, for one link; the
+    force is that of M. Spong, *Partial feedback linearization of underactuated mechanical systems*, IROS 1994.
+    """
+
+    name = "energy pumping"
+
+    def __init__(
+        self,
+        rig: Rig | str,
+        *,
+        acceleration: float | None = None,
+        gain: float | None = None,
+        k_x: float | None = None,
+        k_d: float | None = None,
+        kick: float | None = None,
+    ) -> None:
+        self.rig, self.energy = _checked_rig(rig, "EnergyPump")
+        c = self.rig.params.coefficients()
+        gravity = float(self.rig.params.gravity)
+        self.acceleration = _positive("acceleration", gravity if acceleration is None else acceleration)
+        fall = math.sqrt((float(c.length1) + float(c.length2)) / gravity)
+        self.gain = _positive("gain", 5 * fall / float(c.d2 + c.d3) if gain is None else gain)
+        self.k_x = _positive("k_x", gravity / _reach(self.rig) if k_x is None else k_x)
+        self.k_d = _positive("k_d", math.sqrt(self.k_x) if k_d is None else k_d)
+        self.kick = _checked_kick(self.rig, kick)
+
+    def __repr__(self) -> str:
+        gains = ", ".join(f"{name} = {getattr(self, name):.4g}" for name in ("acceleration", "gain", "k_x", "k_d"))
+        return f"<energy pumping, {gains}>"
+
+    def links_energy(self, x: npt.ArrayLike) -> Array:
+        """Give the energy of the links seen from the cart, J, of states ``(..., 6)``."""
+        return energies(_moving_at(x, 0.0), self.rig.params).total
+
+    def momentum(self, x: npt.ArrayLike) -> Array:
+        r"""Give :math:`\mu`, kg m/s, of states ``(..., 6)``: what the kinetic energy has linear in the cart's speed."""
+        params = self.rig.params
+        return 0.5 * (energies(_moving_at(x, 1.0), params).kinetic - energies(_moving_at(x, -1.0), params).kinetic)
+
+    def force(self, x: npt.ArrayLike) -> Array:
+        """Give the law's answer to states ``(..., 6)``, N."""
+        x = np.asarray(x, dtype=np.float64)
+        alpha, beta = _cart_response(x, self.rig)
+        missing = (self.links_energy(x) - self.energy) / self.energy
+        pumping = self.acceleration * np.clip(self.gain * self.momentum(x) * missing, -1.0, 1.0)
+        return (pumping - self.k_x * x[..., 0] - self.k_d * x[..., 3] - alpha) / beta
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Give the law for ``n`` runs."""
+        return _with_kick(self.force, self.kick, self.rig, self.energy)
+
+
+def _cart_response(x: Array, rig: Rig) -> tuple[Array, Array]:
+    r"""Give :math:`\alpha`, :math:`\beta` of :math:`\ddot p = \beta F + \alpha`; the plant is affine in the force."""
+    alpha = rates(x, np.zeros(x.shape[:-1]), rig.params)[..., 3]
+    return alpha, rates(x, np.ones(x.shape[:-1]), rig.params)[..., 3] - alpha
+
+
+def _moving_at(x: npt.ArrayLike, speed: float) -> Array:
+    """Give the states with the cart at another speed, the links turning as they do."""
+    moving = np.array(x, dtype=np.float64)
+    moving[..., 3] = speed
+    return moving
+
+
+def _with_kick(force: Callable[[Array], Array], kick: float, rig: Rig, energy: float) -> Act:
+    """Give a memoryless law that wakes in its first sample what hangs at rest."""
+    began = False
+
+    def act(_: float, y: Array) -> Array:
+        nonlocal began
+        u = force(y)
+        if not began:
+            began = True
+            u = np.where(energies(y, rig.params).total < -(1 - 1e-4) * energy, kick, u)
+        return u
+
+    return act
+
+
+def _reach(rig: Rig) -> float:
+    """Give how far the cart may go, m: to the track's end, or the length of both links where it has none."""
+    c = rig.params.coefficients()
+    return float(rig.track_limit) if math.isfinite(float(rig.track_limit)) else float(c.length1 + c.length2)
+
+
+def _checked_rig(rig: Rig | str, law: str) -> tuple[Rig, float]:
+    """Give the rig, and the energy of upright at rest."""
+    rig = as_rig(rig)
+    if rig.n is not None:
+        raise ValueError(f"{law} is designed for one plant; got a rig of {rig.n} rows.")
+    c = rig.params.coefficients()
+    energy = float(c.f1 + c.f2)
+    if not energy > 0:
+        raise ValueError(f"{law} lifts the links against gravity; got a rig without, gravity={rig.params.gravity!r}.")
+    return rig, energy
+
+
+def _positive(name: str, value: float) -> float:
+    if not (np.ndim(value) == 0 and math.isfinite(value) and value > 0):
+        raise ValueError(f"{name} must be a finite number greater than 0; got {value!r}.")
+    return float(value)
+
+
+def _checked_kick(rig: Rig, kick: float | None) -> float:
+    if kick is None:
+        return 0.1 * float(rig.params.coefficients().d1) * float(rig.params.gravity)
+    if not (np.ndim(kick) == 0 and math.isfinite(kick)):
+        raise ValueError(f"kick must be a finite force in N; got {kick!r}.")
+    return float(kick)

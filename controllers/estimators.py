@@ -1,0 +1,390 @@
+r"""State estimation from encoder positions, delays made up for, in front of any controller.
+
+A rig measures at sample :math:`k` the state of sample :math:`k - d_s`, and the command it is given then takes effect at
+sample :math:`k + d_a`.  The estimators here estimate the state at the measured moment and predict it, with the commands
+that are under way, to the moment at which the next command takes effect.  So a controller behind them needs to know
+nothing of encoders, noise or delay.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from dpend.controller import Act, Controller, check_controller, is_batched
+from dpend.params import Array
+from dpend.rig import Rig, as_rig
+from dpend.stepper import Stepper
+
+Follow = Callable[[Array, Array], Array]
+r"""An estimator at work, :math:`\hat x = \mathrm{follow}(y, u)`: measurements ``(n, 6)`` and the commands ``(n,)`` that
+were given after the measurements before (not looked at in the first call), to states ``(n, 6)``."""
+
+
+class Estimator(Protocol):
+    """A description of an estimator, which makes fresh working memory for each run."""
+
+    def follow(self, n: int) -> Follow:
+        """Give the estimator for ``n`` runs side by side."""
+        ...
+
+
+class WithEstimator:
+    """A controller that sees estimates instead of measurements.
+
+    Parameters
+    ----------
+    estimator : Predictor, EKF or UKF
+        Or anything with such a method ``follow``.
+    controller : Controller
+        Any law.
+
+    Raises
+    ------
+    TypeError
+        If either is something else.
+    """
+
+    def __init__(self, estimator: Estimator, controller: Controller) -> None:
+        if isinstance(estimator, type) or not callable(getattr(estimator, "follow", None)):
+            raise TypeError(
+                f"estimator must be an estimator such as EKF(rig), with a method follow(n); got {estimator!r}."
+            )
+        check_controller(controller)
+        self.estimator = estimator
+        self.controller = controller
+        self.batched = is_batched(controller)
+        self.name = f"{getattr(controller, 'name', type(controller).__name__)} behind {type(estimator).__name__}"
+
+    def __repr__(self) -> str:
+        return f"<{self.name}>"
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Give the law for ``n`` runs."""
+        follow = self.estimator.follow(n)
+        inner = self.controller.start(n, rng)
+        given = np.zeros(n)
+
+        def act(t: float, y: Array) -> Array:
+            nonlocal given
+            u = inner(t, follow(y, given))
+            given = np.array(u, dtype=np.float64)  # the caller may change what it was answered
+            return u
+
+        if hasattr(inner, "log"):
+            act.log = inner.log  # type: ignore[attr-defined]
+        return act
+
+
+class Predictor:
+    r"""Prediction alone: :math:`\hat x_{k + d_a} = \Phi(\dots\Phi(y_k, F_{k - d_s})\dots, F_{k + d_a - 1})`.
+
+    The measurement is believed in all six numbers, and carried over sensor and actuator delay by the plant's own step
+    under the commands that are under way.  On a rig that has no other imperfection, and is known, that is exact.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        What is believed: plant, delays, force limit and actuator lag.
+
+    Raises
+    ------
+    ValueError
+        If the rig describes several plants.
+    """
+
+    def __init__(self, rig: Rig | str) -> None:
+        self.rig = _one_rig(rig, "Predictor")
+
+    def follow(self, n: int) -> Follow:
+        """Give the estimator for ``n`` runs."""
+        under_way = _UnderWay(self.rig, n)
+        ahead = Stepper(_plant(self.rig), n)
+
+        def follow(y: Array, u: Array) -> Array:
+            under_way.listen(u)
+            with np.errstate(all="ignore"):
+                return _predict(ahead, np.array(y, dtype=np.float64), under_way.since_measured())
+
+        return follow
+
+
+class _Filter:
+    r"""What the two Kalman filters share: noises, first guess, the update by the three positions, and the prediction.
+
+    They differ in :meth:`_move`, which carries mean and covariance over one sample.
+    """
+
+    def __init__(
+        self,
+        rig: Rig | str,
+        *,
+        process_noise: npt.ArrayLike | None = None,
+        measurement_noise: npt.ArrayLike | None = None,
+        rates_noise: npt.ArrayLike | None = None,
+    ) -> None:
+        self.rig = _one_rig(rig, type(self).__name__)
+        c = self.rig.params.coefficients()
+        if process_noise is None:
+            gravity = float(self.rig.params.gravity)
+            process_noise = 0.01 * np.array([float(c.d1) * gravity, float(c.f1), float(c.f2)])
+        self.process_noise = _three("process_noise", process_noise, "N, N m and N m, on cart and links")
+        self.process_noise[0] = math.hypot(self.process_noise[0], float(self.rig.force_noise))
+        if measurement_noise is None:
+            noise = np.broadcast_to(self.rig.sensor_noise, 6)[:3]
+            step = np.broadcast_to(self.rig.resolution, 6)[:3]
+            measurement_noise = np.maximum(np.sqrt(noise**2 + step**2 / 12), 1e-6)
+        self.measurement_noise = _three("measurement_noise", measurement_noise, "m, rad and rad")
+        if not (self.measurement_noise > 0).all():
+            raise ValueError(f"measurement_noise must be greater than 0; got {measurement_noise!r}.")
+        if rates_noise is None:
+            length = np.array([float(c.length1 + c.length2), float(c.length1), float(c.length2)])
+            gravity = max(float(self.rig.params.gravity), 1.0)
+            rates_noise = 2 * np.sqrt(gravity / length) * [length[0], 1, 1]
+        self.rates_noise = _three("rates_noise", rates_noise, "m/s, rad/s and rad/s")
+        for array in (self.process_noise, self.measurement_noise, self.rates_noise):
+            array.setflags(write=False)
+
+    def __repr__(self) -> str:
+        return (
+            f"<{type(self).__name__}, process noise {self.process_noise}, measurement noise {self.measurement_noise}>"
+        )
+
+    def follow(self, n: int) -> Follow:
+        """Give the estimator for ``n`` runs."""
+        follow, _ = self.follow_closely(n)
+        return follow
+
+    def follow_closely(self, n: int) -> tuple[Follow, Callable[[], tuple[Array, Array]]]:
+        """Give the estimator for ``n`` runs, and a function that tells what it holds of the moment last measured.
+
+        Returns
+        -------
+        follow : callable
+            The estimator.
+        belief : callable
+            ``belief()`` gives the means ``(n, 6)`` and covariances ``(n, 6, 6)``.
+        """
+        rig = self.rig
+        under_way = _UnderWay(rig, n)
+        move = self._move(n)
+        ahead = Stepper(_plant(rig), n)
+        first_guess = np.diag(np.concatenate([self.measurement_noise, self.rates_noise]) ** 2)
+        mean, covariance = np.zeros((n, 6)), np.tile(first_guess, (n, 1, 1))
+        samples = -1
+
+        def follow(y: Array, u: Array) -> Array:
+            nonlocal mean, covariance, samples
+            under_way.listen(u)
+            samples += 1
+            measured = np.array(y[:, :3], dtype=np.float64)
+            with np.errstate(all="ignore"):  # what diverges is begun again
+                if samples == 0:
+                    mean[:, :3] = measured
+                elif samples > rig.sensor_delay:  # until then the sensors repeat the first reading
+                    mean, covariance = move(mean, covariance, under_way.last_before_measured())
+                    mean, covariance = self._update(mean, covariance, measured)
+                    lost = ~(np.abs(mean).max(axis=1) < 1e6) | ~np.isfinite(covariance).all(axis=(1, 2))
+                    if lost.any():
+                        mean[lost], covariance[lost] = np.pad(measured[lost], ((0, 0), (0, 3))), first_guess
+                return _predict(ahead, mean, under_way.since_measured())
+
+        return follow, lambda: (mean.copy(), covariance.copy())
+
+    def _move(self, n: int) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+        """Give what carries means and covariances over one sample under given forces."""
+        raise NotImplementedError
+
+    def _update(self, mean: Array, covariance: Array, measured: Array) -> tuple[Array, Array]:
+        """Take the three positions in, by Joseph's form, which keeps the covariance positive."""
+        noise = np.diag(self.measurement_noise**2)
+        crossed = covariance[:, :, :3]
+        gain = np.linalg.solve(crossed[:, :3] + noise, crossed.transpose(0, 2, 1)).transpose(0, 2, 1)
+        rest = np.tile(np.eye(6), (len(mean), 1, 1))
+        rest[:, :, :3] -= gain
+        mean = mean + np.einsum("nij,nj->ni", gain, measured - mean[:, :3])
+        kept = rest @ covariance @ rest.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
+        return mean, 0.5 * (kept + kept.transpose(0, 2, 1))
+
+
+class EKF(_Filter):
+    r"""Extended Kalman filter from the three positions: :math:`P^+ = A P A^\top + G\,\mathrm{diag}(\sigma^2)\,G^\top`.
+
+    The mean moves by the plant's own step :math:`\Phi(x, f)`; :math:`A = \partial\Phi/\partial x` and
+    :math:`G = \partial\Phi/\partial f` are its derivatives at the mean, by central differences of fourth order.
+    Measured rates are not looked at.  The first measurement is the first guess, with rates zero within ``rates_noise``.
+    A row whose estimate is lost, no finite number left, begins again in this way.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        What is believed: plant, delays, force limit, actuator lag, noises and resolution.
+    process_noise : array_like (3,), optional
+        Standard deviations of a generalised force on cart (N), link 1 and link 2 (N m) that is white from sample to
+        sample: what the plant does that the model does not know.  Left out, a hundredth of the weight of everything,
+        and of each gravity torque.  The rig's ``force_noise`` comes on top.
+    measurement_noise : array_like (3,), optional
+        Standard deviations of the measured positions, m and rad.  Left out, the rig's sensor noise together with the
+        rounding error of its encoders, :math:`\Delta^2/12`; at least 1e-6.
+    rates_noise : array_like (3,), optional
+        Standard deviations of the first guess of the rates, m/s and rad/s.  Left out, twice the speed of a fall,
+        :math:`\sqrt{g L}` for the cart (both links) and :math:`\sqrt{g/L}` for each link.
+
+    Raises
+    ------
+    ValueError
+        If the rig describes several plants, or a noise has the wrong shape or sign.
+
+    Notes
+    -----
+    Source: D. Simon, *Optimal State Estimation*, 2006, section 13.2.
+    """
+
+    def _move(self, n: int) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+        # g'(0) = (8 (g(h) - g(-h)) - (g(2h) - g(-2h))) / 12 h up to h^4; this h balances that against rounding.
+        h = 1e-3
+        places = h * np.array([1.0, -1.0, 2.0, -2.0])
+        weights = np.array([8.0, -8.0, -1.0, 1.0]) / (12 * h)
+        points = 1 + 4 * 9
+        moved = np.zeros((points, 9))
+        moved[1:] = (places[:, None, None] * np.eye(9)).reshape(-1, 9)
+        model = Stepper(_plant(self.rig), n * points)
+        deviation = self.process_noise**2
+
+        def move(mean: Array, covariance: Array, force: Array) -> tuple[Array, Array]:
+            model.x[:] = (mean[:, None] + moved[:, :6]).reshape(-1, 6)
+            model.step(np.repeat(force, points), np.tile(moved[:, 6:], (n, 1)))
+            after = model.x.reshape(n, points, 6)
+            slopes = np.einsum("p,npij->nji", weights, after[:, 1:].reshape(n, 4, 9, 6))
+            A, G = slopes[:, :, :6], slopes[:, :, 6:]
+            spread = A @ covariance @ A.transpose(0, 2, 1) + (G * deviation) @ G.transpose(0, 2, 1)
+            return after[:, 0].copy(), spread
+
+        return move
+
+
+class UKF(_Filter):
+    r"""Unscented Kalman filter from the three positions, with the spherical points of the cubature rule.
+
+    State and unknown force together have nine dimensions; mean and covariance after a sample are those of 18 points,
+    one at :math:`\pm\sqrt{9}` standard deviations along each axis, carried over by the plant's own step.  All weights
+    are equal and positive, so the covariance stays positive.  The measurement is linear and taken in as usual.
+    The rest is as in :class:`EKF`.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        What is believed: plant, delays, force limit, actuator lag, noises and resolution.
+    process_noise : array_like (3,), optional
+        Standard deviations of a generalised force on cart (N), link 1 and link 2 (N m) that is white from sample to
+        sample; default as in :class:`EKF`.
+    measurement_noise : array_like (3,), optional
+        Standard deviations of the measured positions, m and rad; default as in :class:`EKF`.
+    rates_noise : array_like (3,), optional
+        Standard deviations of the first guess of the rates, m/s and rad/s; default as in :class:`EKF`.
+
+    Raises
+    ------
+    ValueError
+        If the rig describes several plants, or a noise has the wrong shape or sign.
+
+    Notes
+    -----
+    Source: S. Julier and J. Uhlmann, *Unscented filtering and nonlinear estimation*, 2004; I. Arasaratnam and
+    S. Haykin, *Cubature Kalman filters*, 2009.
+    """
+
+    def _move(self, n: int) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
+        model = Stepper(_plant(self.rig), n * 18)
+        signs = np.array([1.0, -1.0])
+
+        def move(mean: Array, covariance: Array, force: Array) -> tuple[Array, Array]:
+            axes = np.zeros((n, 9, 9))  # rows: half axes of the ellipsoid of one standard deviation
+            axes[:, :6, :6] = _root(covariance)
+            axes[:, 6:, 6:] = np.diag(self.process_noise)
+            points = 3.0 * (signs[:, None, None] * axes[:, None]).reshape(n, 18, 9)
+            model.x[:] = (mean[:, None] + points[:, :, :6]).reshape(-1, 6)
+            model.step(np.repeat(force, 18), points[:, :, 6:].reshape(-1, 3))
+            after = model.x.reshape(n, 18, 6)
+            middle = after.mean(axis=1)
+            around = after - middle[:, None]
+            return middle, around.transpose(0, 2, 1) @ around / 18
+
+        return move
+
+
+class _UnderWay:
+    """The forces on their way to the plant: commands as the rig limits, lags and delays them."""
+
+    def __init__(self, rig: Rig, n: int) -> None:
+        self._limit = float(rig.force_limit)
+        lag = float(rig.actuator_lag)
+        self._rest = math.exp(-rig.sample_time / lag) if lag else 0.0
+        self._drive = np.zeros(n)
+        self._sensor_delay = int(rig.sensor_delay)
+        # Forces of the samples from the one before the measured on, up to the last that a command has reached.
+        self._forces: deque[Array] = deque([np.zeros(n) for _ in range(int(rig.actuator_delay))])
+        self._sample = -1
+        self._before = np.zeros(n)
+
+    def listen(self, command: Array) -> None:
+        """Take in the commands given last, and go on to the next sample."""
+        self._sample += 1
+        if self._sample == 0:
+            return
+        limited = np.clip(np.asarray(command, dtype=np.float64), -self._limit, self._limit)
+        self._drive = limited + self._rest * (self._drive - limited)
+        self._forces.append(self._drive)
+        if self._sample > self._sensor_delay:  # the measured moment moves on
+            self._before = self._forces.popleft()
+
+    def last_before_measured(self) -> Array:
+        """Give the forces of the sample that ends at the moment measured."""
+        return self._before
+
+    def since_measured(self) -> list[Array]:
+        """Give the forces from the moment measured to the one when the next command takes effect."""
+        return list(self._forces)
+
+
+def _predict(model: Stepper, x: Array, forces: list[Array]) -> Array:
+    """Carry states over one sample for each of the forces."""
+    if not forces:
+        return x.copy()
+    model.x[:] = x
+    for force in forces:
+        model.step(force)
+    # What runs away on the way is no better than what was known.
+    return np.where(np.isfinite(model.x).all(axis=1, keepdims=True), model.x, x)
+
+
+def _root(covariance: Array) -> Array:
+    """Give a matrix whose rows are the half axes of each covariance; one that rounding made negative counts as zero."""
+    finite = np.isfinite(covariance).all(axis=(1, 2), keepdims=True)
+    squares, axes = np.linalg.eigh(np.where(finite, covariance, np.eye(covariance.shape[-1])))
+    root = np.sqrt(np.maximum(squares, 0))[:, :, None] * axes.transpose(0, 2, 1)
+    return np.where(finite, root, np.nan)
+
+
+def _plant(rig: Rig) -> Rig:
+    """Give the plant alone, with the rig's clock: forces reach it as they are, and nothing is measured."""
+    return Rig(params=rig.params, sample_time=rig.sample_time, substeps=rig.substeps)
+
+
+def _one_rig(rig: Rig | str, name: str) -> Rig:
+    rig = as_rig(rig)
+    if rig.n is not None:
+        raise ValueError(f"{name} believes in one plant; got a rig of {rig.n} rows.")
+    return rig
+
+
+def _three(name: str, value: npt.ArrayLike, unit: str) -> Array:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != (3,) or not (np.isfinite(array) & (array >= 0)).all():
+        raise ValueError(f"{name} must be three finite numbers, at least 0 ({unit}); got {value!r}.")
+    return array

@@ -1,0 +1,394 @@
+r"""One law hands over to another where a region says so: swing up, then catch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+
+from dpend.controller import Act, Controller, check_controller, is_batched
+from dpend.params import Array
+from dpend.plant import energies
+from dpend.rig import Rig, as_rig
+from dpend.state import as_equilibrium, deviation
+from dpend.stepper import Stepper
+
+from .lqr import LQR
+
+Region = Callable[[Array], npt.NDArray[np.bool_]]
+"""Which states ``(n, 6)`` belong to a region, ``(n,)``."""
+
+
+class Ellipsoid:
+    r"""Region :math:`(x - x^*)^\top P\,(x - x^*) \le c`, angles taken to the nearest turn.
+
+    Parameters
+    ----------
+    lqr : LQR
+        Gives :math:`P` and :math:`x^*`.
+    level : float
+        :math:`c`, greater than zero.
+
+    Raises
+    ------
+    ValueError
+        If the level is not greater than zero.
+    """
+
+    def __init__(self, lqr: LQR, level: float) -> None:
+        if not level > 0:
+            raise ValueError(f"level must be greater than 0; got {level!r}.")
+        self.lqr = lqr
+        self.level = float(level)
+
+    def __repr__(self) -> str:
+        return f"<region x'Px <= {self.level:.4g}>"
+
+    def __call__(self, x: Array) -> npt.NDArray[np.bool_]:
+        """Tell which states ``(n, 6)`` lie inside."""
+        return self.cost(x) <= self.level
+
+    def cost(self, x: npt.ArrayLike) -> Array:
+        r"""Give :math:`(x - x^*)^\top P\,(x - x^*)` of states ``(n, 6)``."""
+        from_target = deviation(x, self.lqr.about)
+        return np.einsum("ni,ij,nj->n", from_target, self.lqr.P, from_target)
+
+    def boundary(self, n: int, rng: np.random.Generator) -> Array:
+        """Draw ``n`` states on the boundary, uniform on the sphere of which it is the image."""
+        sphere = rng.standard_normal((n, 6))
+        sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+        half = np.linalg.cholesky(np.linalg.inv(self.lqr.P))
+        return self.lqr.about + math.sqrt(self.level) * sphere @ half.T
+
+    @classmethod
+    def within_limits(cls, lqr: LQR) -> Ellipsoid:
+        r"""Give the greatest on which no limit of the rig is met by the *linear* loop.
+
+        :math:`|Kx| \le u_\max` holds on :math:`x^\top P x \le u_\max^2 / (K P^{-1} K^\top)`, and the track's limit
+        bounds the level likewise.  For the plant made linear that is invariant, and so a region of attraction; it knows
+        nothing of what the sines do, and on most presets reaches beyond the horizontal.
+
+        Parameters
+        ----------
+        lqr : LQR
+            The law, with the rig whose limits count.
+
+        Returns
+        -------
+        Ellipsoid
+
+        Raises
+        ------
+        ValueError
+            If the rig has neither limit.
+        """
+        inverse = np.linalg.inv(lqr.P)
+        force = float(lqr.rig.force_limit) ** 2 / float((lqr.K @ inverse @ lqr.K.T)[0, 0])
+        track = max(float(lqr.rig.track_limit) - abs(float(lqr.about[0])), 1e-9) ** 2 / float(inverse[0, 0])
+        if not math.isfinite(min(force, track)):
+            raise ValueError("The rig limits neither force nor track, so the linear loop is stable everywhere.")
+        return cls(lqr, min(force, track))
+
+    @classmethod
+    def calibrated(cls, lqr: LQR, *, starts: int = 1000, seed: int = 0, duration: float | None = None) -> Ellipsoid:
+        """Give the greatest, to 2 %, from whose boundary the simulated, limited loop comes to rest from every start.
+
+        The level is found by bisection over one set of directions, below that of :meth:`within_limits`.  It is an
+        estimate and no proof: if none of n independent starts fails, then with 95 % confidence fewer than a share of
+        3/n of the boundary does.
+
+        Parameters
+        ----------
+        lqr : LQR
+            The law, with the rig on which it is tried; delays, lag, noise and rounding are left out.
+        starts : int
+            Directions that must all come to rest.
+        seed : int
+            What they are drawn from.
+        duration : float, optional
+            Seconds until rest; see :class:`Ahead`.
+
+        Returns
+        -------
+        Ellipsoid
+
+        Raises
+        ------
+        ValueError
+            If even a very small ellipsoid loses a start.
+        """
+        rests = Ahead(lqr.rig, lqr, about=lqr.about, duration=duration)
+
+        def all_rest(level: float) -> bool:
+            return bool(rests(cls(lqr, level).boundary(starts, np.random.default_rng(seed))).all())
+
+        widest = 0.5 * np.pi / math.sqrt(np.linalg.inv(lqr.P)[1, 1])  # link 1 reaches the horizontal
+        high = float(widest**2)
+        if np.isfinite(lqr.rig.force_limit) or np.isfinite(lqr.rig.track_limit):
+            high = min(high, cls.within_limits(lqr).level)
+        low = 1e-6 * high
+        if not all_rest(low):
+            raise ValueError(f"{lqr!r} does not bring its rig to rest even from next to the target.")
+        if all_rest(high):
+            return cls(lqr, high)
+        while high / low > 1.02:
+            middle = math.sqrt(low * high)
+            low, high = (middle, high) if all_rest(middle) else (low, middle)
+        return cls(lqr, low)
+
+
+class Ahead:
+    """The states from which a law, simulated ahead on the rig as it is believed to be, comes to rest on the track.
+
+    That is the region of attraction itself as far as the model knows it, force and track limits included, at the price
+    of a simulation: states with a link below level, as seen from the target, are not tried, and those that fall on the
+    way are given up at once.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        What is believed.  Delays, lag, noise and rounding are left out: the states asked about are estimates already.
+    law : Controller
+        A batched law, started afresh for each question.
+    about : str or array_like (6,)
+        The equilibrium at which it must arrive.
+    duration : float, optional
+        Seconds simulated; left out, eight times the square root of the links' length over gravity.
+    within : float
+        Both links must be within this angle of the target's during the last quarter of that time, rad.
+
+    Raises
+    ------
+    TypeError
+        If ``law`` is no controller.
+    ValueError
+        If it is not batched, the rig describes several plants, or a number is not greater than zero.
+    """
+
+    def __init__(
+        self,
+        rig: Rig | str,
+        law: Controller,
+        *,
+        about: str | npt.ArrayLike = "up-up",
+        duration: float | None = None,
+        within: float = 0.2,
+    ) -> None:
+        rig = as_rig(rig)
+        check_controller(law)
+        if rig.n is not None:
+            raise ValueError(f"Ahead looks ahead on one plant; got a rig of {rig.n} rows.")
+        if not is_batched(law):
+            raise ValueError(f"{_name(law)} treats one run at a time; looking ahead takes a batched law.")
+        if duration is None:
+            c = rig.params.coefficients()
+            duration = 8 * math.sqrt(float(c.length1 + c.length2) / max(float(rig.params.gravity), 1.0))
+        if not (math.isfinite(duration) and duration > 0 and within > 0):
+            raise ValueError(f"duration and within must be greater than 0; got {duration!r} s and {within!r} rad.")
+        self.rig = rig.replace(
+            actuator_lag=0.0, actuator_delay=0, force_noise=0.0, sensor_delay=0, sensor_noise=0.0, resolution=0.0
+        )
+        self.law = law
+        self.about = as_equilibrium(about)
+        self.duration = float(duration)
+        self.within = float(within)
+
+    def __repr__(self) -> str:
+        return f"<region from which {_name(self.law)} is seen to come to rest in {self.duration:.3g} s>"
+
+    def __call__(self, x: Array) -> npt.NDArray[np.bool_]:
+        """Tell from which states ``(n, 6)`` the law comes to rest."""
+        rests = np.zeros(len(x), dtype=np.bool_)
+        rows = np.flatnonzero(~self.fallen(x) & (np.abs(x[:, 0]) <= self.rig.track_limit))
+        if not len(rows):
+            return rests
+        stepper = Stepper(self.rig, len(rows))
+        y = stepper.reset(x[rows])
+        act = self.law.start(len(rows), np.random.default_rng(0))
+        samples = max(1, round(self.duration / self.rig.sample_time))
+        alive = np.ones(len(rows), dtype=np.bool_)
+        for k in range(samples):
+            y = stepper.step(act(k * self.rig.sample_time, y))
+            late = 4 * (k + 1) > 3 * samples
+            alive &= ~self.fallen(y, self.within if late else 0.5 * np.pi) & (np.abs(y[:, 0]) <= self.rig.track_limit)
+            if not alive.all():
+                if not alive.any():
+                    return rests
+                y[~alive] = stepper.reset(self.about, ~alive)  # parked, where it disturbs nobody
+        rests[rows] = alive
+        return rests
+
+    def fallen(self, x: Array, angle: float = 0.5 * np.pi) -> npt.NDArray[np.bool_]:
+        """Tell which states ``(n, 6)`` have a link further than an angle from the target's, level by default."""
+        return ~(np.abs(deviation(x, self.about)[:, 1:3]).max(axis=1) <= angle)
+
+
+class NearEnergy:
+    r"""Region :math:`|E - E_r| \le \varepsilon E_r` with the cart off its track's ends: upright's energy, anywhere.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        The plant and its track.
+    tolerance : float
+        :math:`\varepsilon`, greater than zero.
+    track_share : float
+        Share of the track within which the cart must be, above zero and at most one.
+
+    Raises
+    ------
+    ValueError
+        If the rig describes several plants, or a number is out of range.
+    """
+
+    def __init__(self, rig: Rig | str, tolerance: float = 0.15, *, track_share: float = 0.8) -> None:
+        rig = as_rig(rig)
+        if rig.n is not None:
+            raise ValueError(f"NearEnergy is of one plant; got a rig of {rig.n} rows.")
+        if not (tolerance > 0 and 0 < track_share <= 1):
+            raise ValueError(
+                f"tolerance must be greater than 0 and track_share above 0 and at most 1; "
+                f"got {tolerance!r} and {track_share!r}."
+            )
+        c = rig.params.coefficients()
+        self.rig = rig
+        self.energy = float(c.f1 + c.f2)
+        self.tolerance = float(tolerance)
+        self.track_share = float(track_share)
+
+    def __repr__(self) -> str:
+        return f"<region |E - Er| <= {self.tolerance:g} Er>"
+
+    def __call__(self, x: Array) -> npt.NDArray[np.bool_]:
+        """Tell which states ``(n, 6)`` lie inside."""
+        near = np.abs(energies(x, self.rig.params).total - self.energy) <= self.tolerance * self.energy
+        return near & (np.abs(x[:, 0]) <= self.track_share * self.rig.track_limit)
+
+
+class Catch:
+    r"""Law ``first`` until the state is in a region, then law ``then``; back again where the state is lost.
+
+    Two laws may be three: ``Catch(rig, Catch(rig, EnergyPump(rig), planner), LQR(rig))`` pumps energy, plans the last
+    swing, and balances.  A batched law runs along from the start in every row and is heard where it is in charge; one
+    that treats a single run at a time is started afresh, its time counted from zero, whenever it is put in charge.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        What is believed.
+    first : Controller
+        Any law, such as :class:`~controllers.energy.EnergyPump`.
+    then : Controller, optional
+        The law that catches; left out, ``LQR(rig)``.
+    region : callable, optional
+        Which states ``(n, 6)`` are handed over, ``(n,)``: :class:`Ellipsoid`, :class:`Ahead`, :class:`NearEnergy` or
+        any function.  Left out, ``Ahead`` where ``then`` is an LQR: the states from which that law is seen to come to
+        rest; for any other law ``NearEnergy``.
+    leave : callable, optional
+        Which states are handed back.  It is asked only while ``then`` is in charge, so that it makes the hysteresis.
+        Left out, those with a link below level, as seen from the target, where ``then`` is an LQR; for any other law
+        none.
+
+    Raises
+    ------
+    TypeError
+        If a law is no controller, or a region cannot be called.
+    ValueError
+        If the rig describes several plants.
+
+    Notes
+    -----
+    ``act.log["caught"]`` tells for each call where ``then`` was in charge.
+    """
+
+    def __init__(
+        self,
+        rig: Rig | str,
+        first: Controller,
+        then: Controller | None = None,
+        *,
+        region: Region | None = None,
+        leave: Region | None = None,
+    ) -> None:
+        rig = as_rig(rig)
+        self.rig = rig
+        self.first = first
+        self.then: Controller = LQR(rig) if then is None else then
+        for law in (self.first, self.then):
+            check_controller(law)
+        for name, asked in (("region", region), ("leave", leave)):
+            if asked is not None and not callable(asked):
+                raise TypeError(f"{name} must tell which states (n, 6) belong to it, as a function; got {asked!r}.")
+        if isinstance(self.then, LQR):
+            ahead = Ahead(rig, self.then, about=self.then.about)
+            self.region: Region = ahead if region is None else region
+            self.leave: Region = ahead.fallen if leave is None else leave
+        else:
+            self.region = NearEnergy(rig) if region is None else region
+            self.leave = _nowhere if leave is None else leave
+        self.batched = is_batched(self.first) and is_batched(self.then)
+        self.name = f"{_name(self.first)}, then {_name(self.then)}"
+
+    def __repr__(self) -> str:
+        return f"<{self.name}>"
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Give the law for ``n`` runs."""
+        caught = np.zeros(n, dtype=np.bool_)
+        laws = [_Along(law, n, rng) if is_batched(law) else _Afresh(law, n, rng) for law in (self.first, self.then)]
+        told: list[Array] = []
+
+        def act(t: float, y: Array) -> Array:
+            nonlocal caught
+            before = caught
+            caught = np.zeros(n, dtype=np.bool_)
+            if before.any():
+                caught[before] = ~np.asarray(self.leave(y[before]), dtype=np.bool_)
+            if not before.all():
+                caught[~before] = self.region(y[~before])
+            told.append(caught.astype(np.float64))
+            first, then = (law(t, y, chosen) for law, chosen in zip(laws, (~caught, caught), strict=True))
+            return np.where(caught, then, first)
+
+        act.log = {"caught": told}  # type: ignore[attr-defined]
+        return act
+
+
+class _Along:
+    """A batched law that answers in every row, whoever is in charge."""
+
+    def __init__(self, law: Controller, n: int, rng: np.random.Generator) -> None:
+        self._act = law.start(n, rng)
+
+    def __call__(self, t: float, y: Array, chosen: npt.NDArray[np.bool_]) -> Array:
+        return self._act(t, y)
+
+
+class _Afresh:
+    """A law of one run at a time, started row by row when it is put in charge."""
+
+    def __init__(self, law: Controller, n: int, rng: np.random.Generator) -> None:
+        self._law = law
+        self._rng = rng
+        self._running: list[tuple[float, Act] | None] = [None] * n
+
+    def __call__(self, t: float, y: Array, chosen: npt.NDArray[np.bool_]) -> Array:
+        u = np.zeros(len(y))
+        for row in range(len(y)):
+            if not chosen[row]:
+                self._running[row] = None
+                continue
+            began, act = self._running[row] or (t, self._law.start(1, self._rng))
+            self._running[row] = began, act
+            u[row] = act(t - began, y[row : row + 1])[0]
+        return u
+
+
+def _nowhere(x: Array) -> npt.NDArray[np.bool_]:
+    return np.zeros(len(x), dtype=np.bool_)
+
+
+def _name(law: Controller) -> str:
+    return str(getattr(law, "name", type(law).__name__))
