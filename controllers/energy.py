@@ -21,7 +21,8 @@ from dpend.rig import Rig, as_rig
 class EnergySwingUp:
     r"""Law :math:`F = -(k_v\alpha + k_x p + k_d\dot p)/(k_E(E - E_r) + k_v\beta)`, shaping energy by passivity.
 
-    The cart's acceleration is :math:`\ddot p = \beta F + \alpha`.  Without friction :math:`\dot E = F\dot p`, so that under this force
+    The cart's acceleration is :math:`\ddot p = \beta F + \alpha`.  Without friction :math:`\dot E = F\dot p`, so
+    that under this force
 
     .. math::
         V = \tfrac{k_E}{2}(E - E_r)^2 + \tfrac{k_v}{2}\dot p^2 + \tfrac{k_x}{2}p^2, \qquad \dot V = -k_d\,\dot p^2 .
