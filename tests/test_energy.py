@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,7 +71,7 @@ def test_v_never_rises_along_the_motion_under_continuous_feedback(seed: int) -> 
 
 
 @cache
-def rises(sample_time: float, **changes: float) -> float:
+def rises(sample_time: float, **changes: Any) -> float:
     """Give the greatest rise of V in any sample of eight lively runs of 1 s, as a share of V at the start."""
     rig = endless(sample_time=sample_time, substeps=1, **changes)
     law = wide()

@@ -127,8 +127,7 @@ def test_what_is_lost_begins_again(kind: type[EKF] | type[UKF]) -> None:
     for _ in range(5):
         assert np.isfinite(follow(y, np.zeros(2))).all()
     y[0, 1] = 0.0
-    for _ in range(50):
-        told = follow(y, np.zeros(2))
+    told = [follow(y, np.zeros(2)) for _ in range(50)][-1]
     assert_allclose(told[1], 0.0, atol=1e-9)
     assert_allclose(told[0, :3], 0.0, atol=1e-3)
 
