@@ -6,9 +6,9 @@ it and energy pumping are followed by LQR, which takes over inside an ellipsoid 
 simulated loop), or where a simulation ahead sees it come to rest.  Arrived is who was up for the last second.
 
 Finding: alone, neither law ever arrives, though each comes near upright's energy from all 200 starts; hold and limit
-keep the passivity law's V from falling below half, where free it is at 6 % of its start.  LQR in the calibrated ellipsoid
-catches 0 and 1 of 200, where it is seen to hold 57 (28.5 %) after the passivity law and 177 (88.5 %) after pumping.
-From the default options, kept in docs/results/energy_swing_up.
+keep the passivity law's V above half, where free it falls to 6 % of its start.  LQR in the calibrated ellipsoid catches
+0 and 1 of 200; where it is seen to hold 57 (28.5 %) after the passivity law and 177 (88.5 %) after pumping.  From the
+default options, kept in docs/results/energy_swing_up.
 """
 
 from __future__ import annotations
