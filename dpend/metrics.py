@@ -1,10 +1,17 @@
-"""Figures of merit of held force signals: effort, smoothness, saturation."""
+"""Figures of merit of held force signals: effort, smoothness, saturation.
+
+A held force is a function of time, a staircase, and all but two of these figures are functionals of that function:
+recorded five times as often, the same staircase has the same figures.  The exceptions are the two that others publish,
+``caps_sm`` and ``std_step``.  ``docs/metrics.md`` derives them all.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 
 import numpy as np
+import numpy.typing as npt
 
 from .params import Array
 
@@ -17,11 +24,27 @@ UNITS: Mapping[str, str] = {
     "variation": "u_max/s",
     "switches": "1/s",
     "saturated": "share",
+    "slew": "u_max/s",
+    "spectral_share": "share",
+    "caps_sm": "u_max",
+    "std_step": "N",
 }
 """Unit of each metric; ``u_max`` is the rig's force limit, or one newton where it has none."""
 
+RATE_DEPENDENT = ("caps_sm", "std_step")
+"""The metrics that change with the rate at which the same force is recorded, kept to stand beside published ones."""
 
-def force_metrics(u: Array, sample_time: float, force_limit: float | Array) -> dict[str, Array]:
+NOISE_WIDTH = 3.0
+"""How many standard deviations below the limit a noisy force still counts as saturated."""
+
+_OF_FORCE = ("seconds", "peak_force", "effort", "variation", "switches", "saturated")
+_OF_SMOOTHNESS = ("slew", "spectral_share", "caps_sm", "std_step")
+_BLOCK = 512  # rows measured together, so that what is in work stays in the cache
+
+
+def force_metrics(
+    u: Array, sample_time: float, force_limit: float | Array, *, force_noise: float | Array = 0.0
+) -> dict[str, Array]:
     r"""Measure force signals that are held over each sample.
 
     Parameters
@@ -32,34 +55,118 @@ def force_metrics(u: Array, sample_time: float, force_limit: float | Array) -> d
         s.
     force_limit : float or (N,)
         :math:`u_\max`, N; infinite for none.
+    force_noise : float or (N,)
+        Standard deviation :math:`\sigma` of the noise that the force has beyond the limiter, N.
 
     Returns
     -------
     dict of ndarray (N,)
         ``seconds`` the run lasted; ``peak_force`` :math:`\max|u|`; ``effort`` :math:`\int u^2 dt`; ``variation``, the
         total variation :math:`\sum|\Delta u|` per second in units of :math:`u_\max`; ``switches``, changes of sign
-        per second, zeros skipped; ``saturated``, the share of the time
-        at the limit or beyond (force noise, which acts after the limit, moves the force off it).
+        per second, zeros skipped; ``saturated``, the share of the time with :math:`|u| \ge u_\max - 3\sigma`, which
+        finds 99.9 % of the samples that the limiter held at the limit, and without noise all of them.
+
+    Raises
+    ------
+    ValueError
+        If the signals are not of that shape.
     """
+    u, limit, scale = _checked(u, force_limit)
+    least = limit * (1 - 1e-12) - NOISE_WIDTH * np.broadcast_to(force_noise, len(u))
+    measured = {name: np.zeros(len(u)) for name in _OF_FORCE}
+    for rows in _blocks(len(u)):
+        running = np.isfinite(u[rows])
+        held = np.where(running, u[rows], 0.0)
+        size = np.abs(held)
+        seconds = running.sum(axis=1) * sample_time
+        per_second = np.divide(1.0, seconds, out=np.zeros(len(held)), where=seconds > 0)
+        jumps = np.abs(np.diff(held, axis=1)) * running[:, 1:]
+        at_limit = (size >= least[rows, None]) & running
+        measured["seconds"][rows] = seconds
+        measured["peak_force"][rows] = size.max(axis=1, initial=0.0)
+        measured["effort"][rows] = (held**2).sum(axis=1) * sample_time
+        measured["variation"][rows] = jumps.sum(axis=1) / scale[rows] * per_second
+        measured["switches"][rows] = _sign_changes(held) * per_second
+        measured["saturated"][rows] = at_limit.sum(axis=1) * sample_time * per_second
+    return measured
+
+
+def smoothness_metrics(
+    u: Array, sample_time: float, force_limit: float | Array, *, lag: float = 0.01, cutoff: float = 5.0
+) -> dict[str, Array]:
+    r"""Measure how smooth held force signals are, by a filter and by a spectrum.
+
+    Parameters
+    ----------
+    u : ndarray (N, T)
+        Applied forces, N; NaN after a run's end.
+    sample_time : float
+        :math:`h`, s.
+    force_limit : float or (N,)
+        :math:`u_\max`, N; infinite for none.
+    lag : float
+        Time constant :math:`\tau` of the first-order lag after which ``slew`` is measured, s.
+    cutoff : float
+        Frequency above which ``spectral_share`` is measured, Hz.
+
+    Returns
+    -------
+    dict of ndarray (N,)
+        ``slew``, the root mean square of :math:`\dot v/u_\max`, where :math:`\tau\dot v = u - v` begins at
+        :math:`v = u_0`; ``spectral_share``, the share of :math:`\int u^2 dt` above the cutoff; ``caps_sm``,
+        :math:`\frac{2}{n f_s}\sum_i M_i f_i` over the amplitude spectrum of :math:`u/u_\max`; ``std_step``, the
+        standard deviation of :math:`\Delta u` in N.  The last two depend on the rate of recording.  All are zero where
+        a run has no sample.
+
+    Raises
+    ------
+    ValueError
+        If the signals are not of that shape, or a time or frequency is not greater than zero.
+
+    Notes
+    -----
+    With :math:`q = e^{-h/\tau}` the lag's error :math:`e_k = q\,e_{k-1} + u_k - u_{k-1}`, :math:`e_0 = 0`, decays
+    within a sample, so :math:`\int\dot v^2 dt = \frac{1 - q^2}{2\tau}\sum_k e_k^2` exactly.
+
+    The spectrum is that of the signal followed by its own reflection, which has no jump where it closes:
+    :math:`u(t) = c_0 + 2\sum_k c_k\cos(\pi k t/T)` with
+    :math:`c_k = \frac1n\,\mathrm{sinc}\frac{k}{2n}\,\sum_j u_j\cos\frac{\pi k(2j + 1)}{2n}` for the staircase, and
+    :math:`\frac1T\int u^2 dt = c_0^2 + 2\sum_k c_k^2`; line :math:`k` lies at :math:`k/2T`.
+
+    Sources: ``caps_sm``: S. Mysore et al., *Regularizing Action Policies for Smooth Control with Reinforcement
+    Learning*, 2021, with amplitudes and frequencies as their program spaces them (:math:`2 f_i/f_s` from 0 to 1 in
+    equal steps) and the whole run as one window; ``std_step``: the smoothness of RealAIGym's double pendulum.
+    """
+    for name, value, unit in (("lag", lag, "s"), ("cutoff", cutoff, "Hz"), ("sample_time", sample_time, "s")):
+        if not (np.ndim(value) == 0 and math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be a finite number greater than 0 {unit}; got {value!r}.")
+    u, _, scale = _checked(u, force_limit)
+    steps = np.isfinite(u).sum(axis=1)
+    measured = {name: np.zeros(len(u)) for name in _OF_SMOOTHNESS}
+    for n in np.unique(steps[steps > 0]):  # rows of one length share their lines
+        equal = np.flatnonzero(steps == n)
+        for block in (equal[rows] for rows in _blocks(len(equal))):
+            held = u[block, :n]
+            measured["slew"][block] = _slew(held, sample_time, lag) / scale[block]
+            measured["spectral_share"][block] = _spectral_share(held, sample_time, cutoff)
+            measured["caps_sm"][block] = _caps_sm(held) / scale[block]
+            if n > 1:
+                measured["std_step"][block] = np.diff(held, axis=1).std(axis=1)
+    return measured
+
+
+def _checked(u: npt.ArrayLike, force_limit: float | Array) -> tuple[Array, Array, Array]:
+    """Give signals, limits and units of force, one a row."""
     u = np.asarray(u, dtype=np.float64)
     if u.ndim != 2:
         raise ValueError(f"Expected force signals of shape (N, T); got shape {u.shape}.")
-    limit = np.broadcast_to(force_limit, len(u))
-    scale = np.where(np.isfinite(limit), limit, 1.0)
-    running = np.isfinite(u)
-    seconds = running.sum(axis=1) * sample_time
-    held = np.where(running, u, 0.0)
-    jumps = np.abs(np.diff(held, axis=1)) * running[:, 1:]
-    per_second = np.divide(1.0, seconds, out=np.zeros(len(u)), where=seconds > 0)
-    at_limit = (np.abs(held) >= limit[:, None] * (1 - 1e-12)) & running
-    return {
-        "seconds": seconds,
-        "peak_force": np.abs(held).max(axis=1, initial=0.0),
-        "effort": (held**2).sum(axis=1) * sample_time,
-        "variation": jumps.sum(axis=1) / scale * per_second,
-        "switches": _sign_changes(held) * per_second,
-        "saturated": at_limit.sum(axis=1) * sample_time * per_second,
-    }
+    limit = np.broadcast_to(np.asarray(force_limit, dtype=np.float64), len(u))
+    return u, limit, np.where(np.isfinite(limit), limit, 1.0)
+
+
+def _blocks(n: int) -> Iterator[slice]:
+    """Cut ``n`` rows into blocks."""
+    return (slice(start, start + _BLOCK) for start in range(0, n, _BLOCK))
 
 
 def _sign_changes(u: Array) -> Array:
@@ -68,3 +175,37 @@ def _sign_changes(u: Array) -> Array:
     last = np.maximum.accumulate(np.where(sign != 0, np.arange(u.shape[1]), -1), axis=1)
     carried = np.where(last >= 0, np.take_along_axis(sign, np.maximum(last, 0), axis=1), 0.0)
     return (carried[:, 1:] * carried[:, :-1] < 0).sum(axis=1).astype(np.float64)
+
+
+def _slew(u: Array, sample_time: float, lag: float) -> Array:
+    """Give the root mean square of the rate of staircases ``(n, T)`` that went through a first-order lag, N/s."""
+    rest = math.exp(-sample_time / lag)
+    error = np.zeros(len(u))
+    squares = np.zeros(len(u))
+    for jump in np.diff(u, axis=1).T:
+        error = rest * error + jump
+        squares += error * error
+    return np.sqrt(squares * (1 - rest * rest) / (2 * lag) / (u.shape[1] * sample_time))
+
+
+def _spectral_share(u: Array, sample_time: float, cutoff: float) -> Array:
+    """Give the share of the power of staircases ``(n, T)`` above a frequency in Hz."""
+    n = u.shape[1]
+    lines = np.arange(1, math.floor(2 * n * sample_time * cutoff + 1e-9) + 1)
+    spectrum = np.abs(np.fft.rfft(np.hstack([u, u[:, ::-1]]), axis=1)) / (2 * n)
+    place = lines % (2 * n)
+    slow = spectrum[:, np.minimum(place, 2 * n - place)] * np.sinc(lines / (2 * n))
+    power = (u * u).mean(axis=1)
+    below = spectrum[:, 0] ** 2 + 2 * (slow * slow).sum(axis=1)
+    share = 1 - np.divide(below, power, out=np.ones(len(u)), where=power > 0)
+    return np.clip(share, 0.0, 1.0)
+
+
+def _caps_sm(u: Array) -> Array:
+    r"""Give the mean of :math:`M_i f_i` over the lines below half the sampling rate, there 1 in frequency, in N."""
+    samples = u.shape[1]
+    n = samples // 2
+    if n == 0:
+        return np.zeros(len(u))
+    amplitudes = np.abs(np.fft.rfft(u, axis=1)[:, :n]) * (2 / samples)
+    return (amplitudes * np.linspace(0.0, 1.0, n)).mean(axis=1)

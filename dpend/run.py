@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from .metrics import force_metrics
+from .metrics import force_metrics, smoothness_metrics
 from .params import Array
 from .rig import Rig
 from .status import Status
@@ -122,12 +122,37 @@ class Run:
 
     def metrics(self) -> dict[str, float]:
         """Give the run's figures of merit; their units are in ``dpend.metrics.UNITS``."""
-        of_force = force_metrics(self.u[None], self.rig.sample_time, self.rig.force_limit)
+        of_force = force_metrics(
+            self.u[None], self.rig.sample_time, self.rig.force_limit, force_noise=self.rig.force_noise
+        )
         return {
             "success": float(self.success),
             "time_up": self.time_up,
             "travel": float(np.fmax.reduce(np.abs(self.x[:, 0]))),
         } | {name: float(value[0]) for name, value in of_force.items()}
+
+    def smoothness(self, *, lag: float = 0.01, cutoff: float = 5.0) -> dict[str, float]:
+        """Give ``slew``, ``spectral_share``, ``caps_sm`` and ``std_step`` of the force.
+
+        Parameters
+        ----------
+        lag : float
+            Time constant of the lag after which the force's rate of change is measured, s.
+        cutoff : float
+            Frequency above which the share of the force's power is measured, Hz.
+
+        Returns
+        -------
+        dict of float
+            What :func:`dpend.metrics.smoothness_metrics` says of each; units are in ``dpend.metrics.UNITS``.
+
+        Raises
+        ------
+        ValueError
+            If ``lag`` or ``cutoff`` is not a finite number greater than zero.
+        """
+        measured = smoothness_metrics(self.u[None], self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
+        return {name: float(value[0]) for name, value in measured.items()}
 
     def plot(self) -> Figure:
         """Draw position, angles, rates and force against time.
@@ -287,7 +312,31 @@ class Runs:
             "success": self.success.astype(np.float64),
             "time_up": self.time_up,
             "travel": self.travel,
-        } | force_metrics(self.u, self.rig.sample_time, self.rig.force_limit)
+        } | force_metrics(self.u, self.rig.sample_time, self.rig.force_limit, force_noise=self.rig.force_noise)
+
+    def smoothness(self, *, lag: float = 0.01, cutoff: float = 5.0) -> dict[str, Array]:
+        """Give ``slew``, ``spectral_share``, ``caps_sm`` and ``std_step`` of every run's force, each ``(N,)``.
+
+        They stand apart from :meth:`metrics` because they ask for two numbers, and take as long as all the others together.
+
+        Parameters
+        ----------
+        lag : float
+            Time constant of the lag after which the force's rate of change is measured, s.
+        cutoff : float
+            Frequency above which the share of the force's power is measured, Hz.
+
+        Returns
+        -------
+        dict of ndarray (N,)
+            What :func:`dpend.metrics.smoothness_metrics` says of each; units are in ``dpend.metrics.UNITS``.
+
+        Raises
+        ------
+        ValueError
+            If ``lag`` or ``cutoff`` is not a finite number greater than zero.
+        """
+        return smoothness_metrics(self.u, self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
 
     def __getitem__(self, row: int) -> Run:
         """Give one recorded run, cut at its end.

@@ -259,17 +259,18 @@ BATCHES: dict[str, Callable[[], Runs]] = {
 @pytest.mark.parametrize("make", BATCHES.values(), ids=BATCHES)
 def test_the_metrics_of_a_row_are_the_row_of_the_metrics(make: Callable[[], Runs]) -> None:
     runs = make()
-    of_all = runs.metrics()
+    of_all = runs.metrics() | runs.smoothness()
     for row in range(len(runs)):
-        of_one = runs[row].metrics()
+        of_one = runs[row].metrics() | runs[row].smoothness()
         assert of_one.keys() == of_all.keys()
         for name, value in of_one.items():
             # sums over longer rows round otherwise
-            np.testing.assert_allclose(value, of_all[name][row], rtol=1e-13, err_msg=name)
+            np.testing.assert_allclose(value, of_all[name][row], rtol=1e-13, atol=1e-15, err_msg=name)
 
 
 def test_every_metric_but_success_has_a_unit() -> None:
-    assert {*RUNS["ideal"]().metrics()} == {*UNITS, "success"}
+    run = RUNS["ideal"]()
+    assert {*run.metrics(), *run.smoothness()} == {*UNITS, "success"}
 
 
 def measured(u: Array, *, sample_time: float = 0.5, limit: float = np.inf) -> dict[str, float]:
