@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from .metrics import force_metrics, smoothness_metrics
 from .params import Array
-from .rig import Rig
+from .rig import Rig, as_rig
 from .status import Status
 
 if TYPE_CHECKING:
@@ -217,6 +217,87 @@ class Run:
         return _write(Path(path), "dpend run 1", about, arrays)
 
     @classmethod
+    def from_csv(
+        cls,
+        path: str | Path,
+        rig: Rig | str,
+        columns: Mapping[str, str] | None = None,
+        *,
+        angle_unit: str | float | Sequence[float] = "rad",
+        position_unit: float = 1.0,
+        force_unit: float = 1.0,
+        zero: str = "up",
+        relative: bool = False,
+        tolerance: float = 0.01,
+        any_size: bool = False,
+    ) -> Run:
+        r"""Read what a laboratory recorded: a table with a line of column names, then one line a sample.
+
+        A line holds the time, what was measured then, and the force from then on; commas, semicolons or tabs
+        separate its cells.  What is measured stands in ``y``, and in ``x`` too, since nobody knows better.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        rig : Rig or str
+            The rig as it is known so far; its sample time is that of the table.
+        columns : mapping of str to str, optional
+            Headings of ``"t"``, ``"pos"``, ``"th1"``, ``"th2"`` and of ``"u"``, the force on the cart, or ``"command"``,
+            the force asked for, of which the rig's actuator (delay, limit, lag) makes the force; where the file calls
+            them so, leave them out.  ``"vel"``, ``"om1"``, ``"om2"`` are taken where they are there; else they are the
+            slopes of parabolas through seven samples.
+        angle_unit : {"rad", "deg"}, float, or two floats
+            Radians in a unit of the angles, such as ``2 * pi / 4096`` for encoder counts; negative where the encoder
+            counts the other way, a pair where the two differ.  Jumps of a whole turn are undone.
+        position_unit, force_unit : float
+            Metres and newtons in a unit of position and force; negative where the direction is the other.
+        zero : {"up", "down"}
+            Where the angles are zero.
+        relative : bool
+            Whether the second angle is that of link 2 against link 1, and its rate too.
+        tolerance : float
+            Share of the sample time by which the times may depart from a uniform clock.
+        any_size : bool
+            Accept numbers that look like those of another unit.
+
+        Returns
+        -------
+        Run
+
+        Raises
+        ------
+        OSError
+            If the file cannot be read.
+        TypeError
+            If ``rig`` is no rig.
+        ValueError
+            If a column is missing, a cell holds no number, the clock is not uniform or not the rig's, an argument is
+            none of those above, or the numbers look like another unit's: whole-numbered radians, or angles, rates,
+            positions or forces beyond what such a rig is likely to see.
+        """
+        from .recording import read_recording
+
+        rig = as_rig(rig)
+        t, x, u = read_recording(
+            path, rig, columns, angle_unit, position_unit, force_unit, zero, relative, tolerance, any_size
+        )
+        return cls(
+            t=t,
+            x=x,
+            y=x.copy(),
+            u=u,
+            step_time=np.full(len(u), np.nan),
+            status=Status.FULL_LENGTH,
+            success=True,
+            time_up=float("nan"),
+            rig=rig,
+            controller="a recording",
+            task="None",
+            seed=0,
+        )
+
+    @classmethod
     def load(cls, path: str | Path) -> Run:
         """Read what :meth:`save` wrote.
 
@@ -317,7 +398,7 @@ class Runs:
     def smoothness(self, *, lag: float = 0.01, cutoff: float = 5.0) -> dict[str, Array]:
         """Give ``slew``, ``spectral_share``, ``caps_sm`` and ``std_step`` of every run's force, each ``(N,)``.
 
-        They stand apart from :meth:`metrics` because they ask for two numbers, and take as long as all the others together.
+        They stand apart from :meth:`metrics` because they ask for two numbers and take as long as all the others.
 
         Parameters
         ----------
