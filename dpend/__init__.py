@@ -8,6 +8,7 @@ with Gymnasium and loads nothing heavier than numpy and Gymnasium.
 import gymnasium
 
 from .controller import Act, Controller
+from .identify import Identified, identify
 from .linear import discretize, linearize
 from .params import Params
 from .plant import energies, positions, rates, reference
@@ -25,6 +26,7 @@ __all__ = [
     "Act",
     "Balance",
     "Controller",
+    "Identified",
     "Params",
     "Rig",
     "Run",
@@ -35,6 +37,7 @@ __all__ = [
     "Task",
     "discretize",
     "energies",
+    "identify",
     "linearize",
     "nearest_upright",
     "positions",

@@ -243,10 +243,10 @@ class Run:
         rig : Rig or str
             The rig as it is known so far; its sample time is that of the table.
         columns : mapping of str to str, optional
-            Headings of ``"t"``, ``"pos"``, ``"th1"``, ``"th2"`` and of ``"u"``, the force on the cart, or ``"command"``,
-            the force asked for, of which the rig's actuator (delay, limit, lag) makes the force; where the file calls
-            them so, leave them out.  ``"vel"``, ``"om1"``, ``"om2"`` are taken where they are there; else they are the
-            slopes of parabolas through seven samples.
+            Headings of ``"t"``, ``"pos"``, ``"th1"``, ``"th2"`` and of ``"u"``, the force on the cart, or
+            ``"command"``, the force asked for, of which the rig's actuator (delay, limit, lag) makes the force; where
+            the file calls them so, leave them out.  ``"vel"``, ``"om1"``, ``"om2"`` are taken where they are there;
+            else they are the slopes of parabolas through seven samples.
         angle_unit : {"rad", "deg"}, float, or two floats
             Radians in a unit of the angles, such as ``2 * pi / 4096`` for encoder counts; negative where the encoder
             counts the other way, a pair where the two differ.  Jumps of a whole turn are undone.

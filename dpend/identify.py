@@ -1,0 +1,493 @@
+r"""A rig's parameters from its recorded motion: output-error least squares over short segments.
+
+The motion is cut into segments.  Each has an initial state of its own, unknown and of no interest; all have the
+parameters in common.  With :math:`h_j` the simulated output of sample :math:`j` under the recorded force,
+
+.. math:: \min_{p,\,x_1,\dots,x_S}\;\sum_{i=1}^S\sum_j
+    \bigl\|\Sigma^{-1/2}\bigl(h_j(p, x_i) - y_{ij}\bigr)\bigr\|^2
+
+is the maximum-likelihood estimate for sensors with independent normal noise of covariance :math:`\Sigma`, diagonal and
+estimated along with it.  No measurement is differentiated, and the errors of the model do not pile up over a run.
+The initial states are eliminated from the problem before it is solved (variable projection), so any number of
+segments costs the solver no more than one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from .params import Array, Number, Params
+from .recording import fitted_rates
+from .rig import Rig
+from .run import Run, Runs
+from .state import NAMES
+from .stepper import Stepper
+from .suggest import suggestion
+
+OUTPUTS = ("pos", "th1", "th2")
+
+_FITTABLE = (
+    "cart_mass",
+    "mass1",
+    "mass2",
+    "length1",
+    "length2",
+    "com1",
+    "com2",
+    "inertia1",
+    "inertia2",
+    "cart_friction",
+    "joint1_friction",
+    "joint2_friction",
+    "cart_coulomb",
+    "gravity",
+)
+_MAY_VANISH = {"cart_friction", "joint1_friction", "joint2_friction", "cart_coulomb"}
+_STATE_STEP = 1e-5
+_LOG_STEP = 1e-5
+_STEP = 1e-4
+_DEPENDENT = 1e-6  # singular values below this share of the largest are zero but for rounding
+_UNKNOWN = 1.0  # a standard error, as a share of the value, at which a parameter counts as not seen
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Identified:
+    r"""Parameters that motion was found to have, and how far they can be trusted.
+
+    Attributes
+    ----------
+    params : Params
+        The plant: the start's parameters with the fitted ones changed.
+    values : mapping of str to float
+        The fitted ones, SI units.
+    errors : mapping of str to float
+        Their standard errors, in the same units.
+    intervals : mapping of str to (float, float)
+        Their 95 % confidence intervals: of the logarithm where a parameter is greater than zero by nature, cut off at
+        zero for frictions.
+    correlation : ndarray (p, p)
+        Correlation of the estimates, in the order of ``values``.
+    noise : mapping of str to float
+        Standard deviation of what the model leaves of each output, m or rad.
+    autocorrelation : mapping of str to float
+        Correlation of the residuals with those one sample later: near zero (or a little below, since each segment's
+        state is fitted) where the model explains the motion.  Well above zero something is missing from the model,
+        and the intervals are too narrow.
+    residuals : ndarray (S, L, len(outputs))
+        Simulated less measured outputs of ``S`` segments of ``L`` samples, m and rad.
+    """
+
+    params: Params
+    values: Mapping[str, float]
+    errors: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+    correlation: Array
+    noise: Mapping[str, float]
+    autocorrelation: Mapping[str, float]
+    residuals: Array
+
+    def __str__(self) -> str:
+        lines = [f"{'parameter':<16}{'value':>11}{'std error':>11}   95 % interval"]
+        for name, value in self.values.items():
+            low, high = self.intervals[name]
+            lines.append(f"{name:<16}{value:>11.5g}{self.errors[name]:>11.2g}   [{low:.5g}, {high:.5g}]")
+        for name, std in self.noise.items():
+            lines.append(f"left of {name:<8}{std:>11.3g}   autocorrelation {self.autocorrelation[name]:+.2f}")
+        return "\n".join(lines)
+
+
+def identify(
+    runs: Run | Runs | Iterable[Run],
+    start: Params | Rig,
+    fit: Sequence[str],
+    *,
+    segment: float = 0.5,
+    outputs: Sequence[str] = OUTPUTS,
+) -> Identified:
+    r"""Find the parameters :math:`\hat p = \arg\min\sum\|\Sigma^{-1/2}(h(p, x_i) - y_i)\|^2` behind recorded runs.
+
+    The simulated outputs come from the plant that simulations run on, under the recorded (applied) forces.  Parameters
+    that are greater than zero by nature are fitted as logarithms.  Where the runs' rig has a sensor delay, measurements
+    are taken for that much older.
+
+    Parameters
+    ----------
+    runs : Run, Runs or iterable of Run
+        What was recorded, such as by ``Run.from_csv``; runs with their states.
+    start : Params or Rig
+        The plant as it is known so far: where the search begins, and what keeps its value.
+    fit : sequence of str
+        Names of the fields of :class:`dpend.Params` to find.
+    segment : float
+        Length of a segment, s.  Shorter ones forgive disturbances that were not recorded, longer ones tell slow
+        effects, such as friction, better.
+    outputs : sequence of str
+        What was measured with independent noise, of ``dpend.NAMES``; rates that were derived from positions do not
+        belong here.
+
+    Returns
+    -------
+    Identified
+        ``start.replace(params=found.params)`` is then the rig.
+
+    Raises
+    ------
+    TypeError
+        If ``runs`` or ``start`` is something else.
+    ValueError
+        If there is no such parameter or output, the runs hold no states, have different sample times or are shorter
+        than a segment; or if the data cannot tell the parameters, which the message names, with the remedy.
+    RuntimeError
+        If the search does not converge.
+
+    Notes
+    -----
+    Standard errors come from the Jacobian at the solution, with the initial states eliminated:
+    :math:`(J^\top P J)^{-1}`, :math:`P` the projector off the initial states' columns.  Each output's variance is the
+    sum of its squared residuals over the degrees of freedom that the fit leaves it.
+
+    Sources: L. Ljung, *System Identification*, 1999, chapter 7; G. Golub and V. Pereyra, *Separable nonlinear least
+    squares*, 2003; H. Bock, *Recent advances in parameter identification techniques for O.D.E.*, 1983.
+    """
+    from scipy.optimize import least_squares  # kept out of `import dpend`
+    from scipy.stats import t as student
+
+    rig = start if isinstance(start, Rig) else None
+    params = start.params if isinstance(start, Rig) else start
+    if not isinstance(params, Params):
+        raise TypeError(f"start must be dpend.Params or a dpend.Rig; got {type(start).__name__}.")
+    names = _checked_names(fit, params)
+    seen = _checked_outputs(outputs)
+    data = _Segments.cut(runs, segment, seen, None if rig is None else rig.substeps)
+    problem = _Problem(data, params, names)
+
+    z = problem.start
+    weights = np.ones(len(seen))
+    _require_rank(problem.reduced(z, weights)[1], names, data)
+    found: Any = None
+    for _ in range(3):  # the outputs' noises settle in two rounds; the third is the solution
+        found = least_squares(
+            lambda z, w=weights: problem.reduced(z, w)[0],
+            z,
+            jac=lambda z, w=weights: problem.reduced(z, w)[1],  # pyright: ignore[reportArgumentType]
+            bounds=problem.bounds,
+            x_scale="jac",
+            xtol=1e-9,
+            ftol=1e-10,
+            gtol=1e-10,
+            max_nfev=100,
+        )
+        if found.status == 0:
+            raise RuntimeError(
+                "The search did not converge within 100 steps: start nearer, fit fewer parameters at first, or shorten "
+                "the segments."
+            )
+        z = found.x
+        weights = 1 / problem.noise(z, weights)
+    _, jacobian = problem.reduced(z, weights)
+    _require_rank(jacobian, names, data)
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    errors = np.sqrt(np.diag(covariance))
+    _require_sight(errors, names, data)
+
+    residuals = problem.residuals(z, weights)
+    freedom = residuals.size - 6 * data.count - len(names)
+    half = float(student.ppf(0.975, freedom)) * errors
+    values, low, high = (problem.values(each) for each in (z, z - half, z + half))
+    std = {n: float(e) if n in _MAY_VANISH else values[n] * float(e) for n, e in zip(names, errors, strict=True)}
+    left = 1 / weights
+    return Identified(
+        params=replace(params, **values),
+        values=values,
+        errors=std,
+        intervals={name: (low[name], high[name]) for name in names},
+        correlation=covariance / np.outer(errors, errors),
+        noise={name: float(each) for name, each in zip(seen, left, strict=True)},
+        autocorrelation={name: _autocorrelation(residuals[:, :, i]) for i, name in enumerate(seen)},
+        residuals=residuals,
+    )
+
+
+# ---------------------------------------------------------------------------------------------------------- the problem
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Segments:
+    """``S`` pieces of ``L`` samples: forces ``(S, L - 1)``, outputs ``(S, L, m)``, guesses of states ``(S, 6)``."""
+
+    u: Array
+    y: Array
+    x0: Array
+    places: list[int]
+    rig: Rig
+
+    @property
+    def count(self) -> int:
+        return len(self.u)
+
+    @classmethod
+    def cut(cls, runs: object, seconds: float, outputs: tuple[str, ...], substeps: int | None) -> _Segments:
+        """Cut runs into segments that share their first and last samples with no other."""
+        records: list[Run] = []
+        for record in [runs] if isinstance(runs, Run) or not isinstance(runs, Iterable) else runs:
+            if not isinstance(record, Run):
+                raise TypeError(f"runs must be dpend.Run, dpend.Runs or several Run; got {type(record).__name__}.")
+            records.append(record)
+        if not records:
+            raise ValueError("There are no runs; expected at least one.")
+        sample_times = sorted({record.rig.sample_time for record in records})
+        if len(sample_times) > 1:
+            raise ValueError(f"All runs must have one sample time; got {', '.join(f'{h:g} s' for h in sample_times)}.")
+        h = sample_times[0]
+        length = round(seconds / h) + 1 if math.isfinite(seconds) else 0
+        if length * len(outputs) <= 6 + len(outputs):
+            raise ValueError(
+                f"A segment must hold more than the six numbers of its initial state: expected segment to be several "
+                f"samples of {h:g} s; got {seconds!r} s."
+            )
+        places = [NAMES.index(name) for name in outputs]
+        forces, measured, guesses = [], [], []
+        for record in records:
+            late = int(record.rig.sensor_delay)
+            y, u = record.y[late:], record.u[: len(record.u) - late]
+            smooth = np.stack([fitted_rates(y[:, i], h) for i in range(3)], axis=1) if len(y) > 1 else y[:, :3]
+            for first in range(0, len(y) - length + 1, length):
+                forces.append(u[first : first + length - 1])
+                measured.append(y[first : first + length][:, places])
+                guesses.append(np.concatenate([y[first, :3], smooth[first]]))
+        if not forces:
+            longest = max(record.t[-1] for record in records)
+            raise ValueError(f"The longest run lasts {longest:g} s, shorter than one segment of {seconds:g} s.")
+        u, y = np.stack(forces), np.stack(measured)
+        if not (np.isfinite(u).all() and np.isfinite(y).all()):
+            raise ValueError("Forces and outputs must be finite; cut the runs before what is not.")
+        first = records[0].rig
+        plain = Rig(params=first.params, sample_time=h, substeps=substeps or first.substeps)
+        return cls(u=u, y=y, x0=np.stack(guesses), places=places, rig=plain)
+
+
+class _Problem:
+    """The least-squares problem in the parameters alone: for each ``z`` the segments' best initial states are found."""
+
+    def __init__(self, data: _Segments, params: Params, names: tuple[str, ...]) -> None:
+        self.data = data
+        self.params = params
+        self.names = names
+        self.logarithm = np.array([name not in _MAY_VANISH for name in names])
+        begin = np.array([_value(params, name) for name in names])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.start = np.where(self.logarithm, np.log(begin), begin)
+        self.bounds = (
+            np.where(self.logarithm, self.start - 5.0, 0.0),
+            np.where(self.logarithm, self.start + 5.0, np.inf),
+        )
+        self._x0 = data.x0.copy()
+        self._kept: tuple[bytes, tuple[Array, Array, Array, Array]] | None = None
+
+    def values(self, z: Array) -> dict[str, float]:
+        """Give the parameters by name."""
+        numbers = np.where(self.logarithm, np.exp(np.where(self.logarithm, z, 0.0)), np.maximum(z, 0.0))
+        return {name: float(number) for name, number in zip(self.names, numbers, strict=True)}
+
+    def reduced(self, z: Array, weights: Array) -> tuple[Array, Array]:
+        """Give residuals at the best initial states, and their Jacobian with these states eliminated (Kaufman's)."""
+        residuals, _, basis, by_params = self._solved(z, weights)
+        left = by_params - basis @ (basis.transpose(0, 2, 1) @ by_params)
+        return residuals.ravel(), left.reshape(-1, len(self.names))
+
+    def residuals(self, z: Array, weights: Array) -> Array:
+        """Give simulated less measured outputs ``(S, L, m)``, in their units."""
+        return self._solved(z, weights)[0].reshape(self.data.y.shape) / weights
+
+    def noise(self, z: Array, weights: Array) -> Array:
+        """Give each output's standard deviation: squares over what the fit leaves of their number."""
+        residuals, _, basis, _ = self._solved(z, weights)
+        _, jacobian = self.reduced(z, weights)
+        leverage = (basis**2).sum(axis=2).ravel() + (np.linalg.qr(jacobian)[0] ** 2).sum(axis=1)
+        m = len(weights)
+        squares = (residuals.reshape(-1, m) / weights) ** 2
+        freedom = (1 - leverage.reshape(-1, m)).sum(axis=0)
+        # outputs without any noise at all keep a weight that is a number
+        return np.maximum(np.sqrt(squares.sum(axis=0) / freedom), 1e-12)
+
+    def _solved(self, z: Array, weights: Array) -> tuple[Array, Array, Array, Array]:
+        """Give weighted residuals ``(S, L m)``, initial states, an orthonormal basis of what these do, and Jacobian."""
+        key = z.tobytes() + weights.tobytes()
+        if self._kept is None or self._kept[0] != key:
+            self._kept = key, self._solve(z, weights)
+        return self._kept[1]
+
+    def _solve(self, z: Array, weights: Array) -> tuple[Array, Array, Array, Array]:
+        """Find the initial states by Gauss-Newton, each segment for itself."""
+        x0 = self._x0.copy()
+        params = self._plants(z[None])
+        residuals, by_state = self._by_state(x0, params, weights)
+        cost = (residuals**2).sum(axis=1)
+        damping = np.full(len(x0), 1e-9)
+        for _ in range(30):
+            gram = by_state.transpose(0, 2, 1) @ by_state
+            slope = (by_state.transpose(0, 2, 1) @ residuals[:, :, None])[:, :, 0]
+            size = np.einsum("ijj->ij", gram)
+            gram = gram + np.einsum("i,ij,jk->ijk", damping, size + 1e-12, np.eye(6))
+            step = -np.linalg.solve(gram, slope[:, :, None])[:, :, 0]
+            gain = -(slope * step).sum(axis=1)  # what a linear segment would gain, twice
+            if np.all(gain <= 1e-14 * (cost + 1e-300) + 1e-24):
+                break
+            tried = x0 + step
+            new, new_by_state = self._by_state(tried, params, weights)
+            new_cost = (new**2).sum(axis=1)
+            better = new_cost <= cost
+            x0[better], residuals[better], by_state[better] = tried[better], new[better], new_by_state[better]
+            stuck = ~better & (gain <= 1e-9 * cost)  # rounding decides here
+            damping = np.where(better | stuck, np.maximum(damping / 10, 1e-9), np.minimum(damping * 100, 1e6))
+            if np.all(stuck | (better & (cost - new_cost <= 1e-13 * cost))):
+                break
+            cost = np.where(better, new_cost, cost)
+        self._x0 = x0  # a good beginning for the next parameters
+        basis = np.linalg.qr(by_state)[0]
+        return residuals, x0, basis, self._by_params(z, x0, weights)
+
+    def _plants(self, points: Array) -> Params:
+        """Give the plants of several points ``(k, p)``: single numbers for one, arrays for more."""
+        rows = [self.values(point) for point in points]
+        if len(rows) == 1:
+            return replace(self.params, **rows[0])
+        return replace(self.params, **{name: np.array([row[name] for row in rows]) for name in self.names})
+
+    def _simulated(self, x0: Array, params: Params, copies: int) -> Array:
+        """Give outputs ``(copies, S, L m)`` from states ``(copies S, 6)``, one plant for all or one for each copy."""
+        data = self.data
+        if params.n is not None:
+            spread = {k: np.repeat(v, data.count) for k, v in params.to_dict().items() if isinstance(v, np.ndarray)}
+            params = replace(params, **spread)
+        stepper = Stepper(data.rig.replace(params=params), len(x0))
+        stepper.reset(x0)
+        samples = data.y.shape[1]
+        outputs = np.empty((len(x0), samples, len(data.places)))
+        outputs[:, 0] = x0[:, data.places]
+        for k in range(samples - 1):
+            stepper.step(np.tile(data.u[:, k], copies))
+            outputs[:, k + 1] = stepper.x[:, data.places]
+        return outputs.reshape(copies, data.count, -1)
+
+    def _by_state(self, x0: Array, params: Params, weights: Array) -> tuple[Array, Array]:
+        """Give weighted residuals ``(S, L m)`` and their derivatives by the initial states ``(S, L m, 6)``."""
+        moves = np.vstack([np.zeros((1, 6)), _STATE_STEP * np.eye(6), -_STATE_STEP * np.eye(6)])
+        outputs = self._simulated((x0[None] + moves[:, None]).reshape(-1, 6), params, 13)
+        weight = np.tile(weights, self.data.y.shape[1])
+        residuals = weight * (outputs[0] - self.data.y.reshape(self.data.count, -1))
+        slopes = weight * (outputs[1:7] - outputs[7:]) / (2 * _STATE_STEP)
+        return residuals, slopes.transpose(1, 2, 0)
+
+    def _by_params(self, z: Array, x0: Array, weights: Array) -> Array:
+        """Give the derivatives of the weighted residuals by the parameters ``(S, L m, p)``.
+
+        Central differences; ahead only, to the same order, for what must not fall below zero.
+        """
+        p = len(z)
+        step = np.where(self.logarithm, _LOG_STEP, _STEP)
+        one = z + np.diag(step)
+        other = z + np.diag(np.where(self.logarithm, -step, 2 * step))
+        outputs = self._simulated(np.tile(x0, (2 * p + 1, 1)), self._plants(np.vstack([z, one, other])), 2 * p + 1)
+        here, first, second = outputs[0], outputs[1 : p + 1], outputs[p + 1 :]
+        central = (first - second) / (2 * step[:, None, None])
+        ahead = (4 * first - 3 * here - second) / (2 * step[:, None, None])
+        slopes = np.where(self.logarithm[:, None, None], central, ahead)
+        return (np.tile(weights, self.data.y.shape[1]) * slopes).transpose(1, 2, 0)
+
+
+# ----------------------------------------------------------------------------------------------- what can be identified
+
+
+def _require_rank(jacobian: Array, names: tuple[str, ...], data: _Segments) -> None:
+    """Refuse parameters that the data do not tell, or not apart: null directions of the scaled Jacobian."""
+    from scipy.linalg import qr  # kept out of `import dpend`
+
+    sizes = np.linalg.norm(jacobian, axis=0)
+    unseen = [name for name, size in zip(names, sizes, strict=True) if size <= 1e-9 * sizes.max(initial=1e-30)]
+    if unseen:
+        raise ValueError(
+            f"Nothing in the data depends on {_listed(unseen)}; leave {'it' if len(unseen) == 1 else 'them'} out of fit"
+            f"{_excite(data)}."
+        )
+    _, singular, directions = np.linalg.svd(jacobian / sizes, full_matrices=False)
+    null = directions[singular < _DEPENDENT * singular[0]]
+    if len(null):
+        involved = np.sqrt((null**2).sum(axis=0))
+        mixed = [name for name, share in zip(names, involved, strict=True) if share > 0.05]
+        # what must be known for the others to follow comes first
+        order = qr(null, pivoting=True, mode="r")[1]  # pyright: ignore[reportGeneralTypeIssues]
+        fixed = [names[i] for i in sorted(order[: len(null)])]
+        raise ValueError(
+            f"The data cannot tell {_listed(mixed)} apart: they can change together and leave the motion as it is. "
+            f"Fix {len(null)} of them, as by leaving {_listed(fixed)} out of fit{_excite(data)}."
+        )
+
+
+def _require_sight(errors: Array, names: tuple[str, ...], data: _Segments) -> None:
+    """Refuse parameters whose standard error is as large as they are."""
+    vague = [name for name, e in zip(names, errors, strict=True) if name not in _MAY_VANISH and e > _UNKNOWN]
+    if vague:
+        raise ValueError(
+            f"The data say next to nothing of {_listed(vague)}: the standard error is as large as the value. Record "
+            f"livelier or longer motion, or leave {_listed(vague)} out of fit{_excite(data)}."
+        )
+
+
+def _excite(data: _Segments) -> str:
+    """Add what is missing where no force was ever applied."""
+    return "" if np.any(data.u) else " (no force was applied; a known force sets the scale of the masses)"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+# ------------------------------------------------------------------------------------------------------------ arguments
+
+
+def _value(params: Params, name: str) -> Number:
+    """Give a parameter, its default resolved where it was left out."""
+    value = getattr(params, name)
+    if value is None:
+        of = params.centers if name.startswith("com") else params.inertias
+        value = of[int(name[-1]) - 1]
+    return value
+
+
+def _checked_names(fit: Sequence[str], params: Params) -> tuple[str, ...]:
+    names = (fit,) if isinstance(fit, str) else tuple(fit)
+    if not names:
+        raise ValueError(f"fit names no parameter; expected some of {', '.join(_FITTABLE)}.")
+    for name in names:
+        if name not in _FITTABLE:
+            raise ValueError(f"There is no parameter {name!r} to fit.{suggestion(str(name), _FITTABLE)}")
+    if len(set(names)) < len(names):
+        raise ValueError(f"fit names a parameter twice: {', '.join(names)}.")
+    if params.n is not None:
+        raise ValueError(f"One plant is found at a time; got a start of {params.n} plants.")
+    for name in names:
+        if name not in _MAY_VANISH and not _value(params, name) > 0:
+            raise ValueError(f"The search for {name} must start above zero; got {_value(params, name):g}.")
+    return names
+
+
+def _checked_outputs(outputs: Sequence[str]) -> tuple[str, ...]:
+    seen = (outputs,) if isinstance(outputs, str) else tuple(outputs)
+    for name in seen:
+        if name not in NAMES:
+            raise ValueError(f"There is no output {name!r}.{suggestion(str(name), NAMES)}")
+    if not seen or len(set(seen)) < len(seen):
+        raise ValueError(f"outputs must name at least one of {', '.join(NAMES)}, none twice; got {', '.join(seen)!r}.")
+    return seen
+
+
+def _autocorrelation(residuals: Array) -> float:
+    """Give the correlation of residuals ``(S, L)`` with those of the next sample."""
+    squares = float((residuals**2).mean())
+    return float((residuals[:, 1:] * residuals[:, :-1]).mean()) / squares if squares > 0 else 0.0
