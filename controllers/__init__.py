@@ -5,6 +5,7 @@ from .energy import EnergyPump, EnergySwingUp
 from .estimators import EKF, UKF, Predictor, WithEstimator
 from .lqr import LQR, BangBang, Margins
 from .sdre import SDRE
+from .smoothing import LowPass, RateLimit
 from .switching import Ahead, Catch, Ellipsoid, NearEnergy
 from .trajectory import Trajectory
 
@@ -20,9 +21,11 @@ __all__ = [
     "Ellipsoid",
     "EnergyPump",
     "EnergySwingUp",
+    "LowPass",
     "Margins",
     "NearEnergy",
     "Predictor",
+    "RateLimit",
     "Trajectory",
     "WithEstimator",
     "Zero",

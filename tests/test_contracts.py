@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import controllers
 import dpend
 import rl
-from controllers import EKF, LQR, BangBang, Catch, Constant, EnergyPump, WithEstimator
+from controllers import EKF, LQR, BangBang, Catch, Constant, EnergyPump, LowPass, RateLimit, WithEstimator
 from dpend import Controller, Rig
 from dpend.controller import check_controller, is_batched
 from dpend.params import Array
@@ -26,6 +26,8 @@ RECIPES: dict[str, Callable[[Rig], Any]] = {
     "BangBang": lambda rig: BangBang(LQR(rig), min(float(np.max(rig.force_limit)), 50.0)),
     "Catch": lambda rig: Catch(rig, EnergyPump(rig)),
     "Constant": lambda rig: Constant(1.5),
+    "LowPass": lambda rig: LowPass(rig, LQR(rig), frequency=20.0),
+    "RateLimit": lambda rig: RateLimit(rig, LQR(rig), 500.0),
     "LinearQPolicy": lambda rig: LinearQPolicy(np.linspace(-1, 1, 18), np.ones(18), (0.0, -4.0, 4.0)),
     "WithEstimator": lambda rig: WithEstimator(EKF(rig), LQR(rig)),
 }

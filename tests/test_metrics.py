@@ -14,7 +14,7 @@ from dpend.metrics import RATE_DEPENDENT, UNITS, force_metrics, smoothness_metri
 from dpend.params import Array
 
 LIMIT = 40.0
-TIMES = 0.02 * np.arange(500)  # 10 s at 50 Hz
+TIMES = 0.02 * np.arange(500, dtype=np.float64)  # 10 s at 50 Hz
 
 
 def everything(u: Array, sample_time: float, limit: float = LIMIT) -> dict[str, float]:
