@@ -36,9 +36,9 @@ class RateLimit:
     Notes
     -----
     What it costs: nothing as long as the inner force is slower than :math:`r`, apart from the start.  A sine of
-    amplitude :math:`A` and angular frequency :math:`\omega` with :math:`A\omega \ge r\sqrt{1 + \pi^2/4}` comes out as a
-    triangle of amplitude :math:`\pi r/2\omega`, late by the phase :math:`\arccos(\pi r/2A\omega)`: up to a quarter turn, the more
-    the larger the sine, so that a loop that survives a small disturbance may not survive a large one.
+    amplitude :math:`A` and angular frequency :math:`\omega` with :math:`A\omega \ge r\sqrt{1 + \pi^2/4}` comes out as
+    a triangle of amplitude :math:`\pi r/2\omega`, late by the phase :math:`\arccos(\pi r/2A\omega)`: up to a quarter
+    turn, the more the larger the sine, so that a loop that survives a small disturbance may not survive a large one.
     """
 
     def __init__(self, rig: Rig | str, inner: Controller, rate: float) -> None:
