@@ -1,9 +1,16 @@
 """Intervals hold what they promise on data of known probability."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
+from rigs import whole
+from scipy import stats
 
-from studies._intervals import over_seeds, wilson
+from studies._intervals import crossing, over_seeds, wilson, worst_cases
 
 
 @pytest.mark.parametrize("p", [0.05, 0.5, 0.9, 0.99])
@@ -37,3 +44,143 @@ def test_an_interval_over_trainings_is_never_narrower_than_that_of_all_episodes(
         assert rate.low <= pooled.low
         assert rate.high >= pooled.high
         assert rate.share == pooled.share
+
+
+# -------------------------------------------------------------------------------------------------------- crossings
+
+LEVELS = 0.05 * np.arange(1, 13)
+MIDDLE, WIDTH = 0.35, 0.04
+
+
+def where(share: float) -> float:
+    """Give the level at which the logistic falls to a share."""
+    return MIDDLE - WIDTH * np.log(share / (1 - share))
+
+
+def fresh_starts(rng: np.random.Generator, n: int = 200) -> Any:
+    """Draw other starts at each level."""
+    return rng.random((n, len(LEVELS))) < 1 / (1 + np.exp((LEVELS - MIDDLE) / WIDTH))
+
+
+def same_starts(rng: np.random.Generator, n: int = 200) -> Any:
+    """Draw starts that are scaled by the level, each saved up to a level of its own."""
+    return rng.logistic(MIDDLE, WIDTH, (n, 1)) > LEVELS
+
+
+def trainings(rng: np.random.Generator, k: int = 10, middles: Any = None) -> Any:
+    """Draw controllers of differing skill, tested on 100 starts a level."""
+    middles = rng.normal(MIDDLE, 0.03, k) if middles is None else middles
+    return rng.binomial(100, 1 / (1 + np.exp((LEVELS - middles[:, None]) / WIDTH))) / 100
+
+
+def coverage(draw: Callable[[np.random.Generator], Any], share: float, truth: float, times: int) -> float:
+    rng = np.random.default_rng(7)
+    found = [crossing(LEVELS, draw(rng), share, resamples=200, seed=i) for i in range(times)]
+    return float(np.mean([each.low <= truth <= each.high for each in found]))
+
+
+@pytest.mark.parametrize("draw", [fresh_starts, same_starts])
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_the_interval_of_a_crossing_covers_that_of_a_logistic(draw: Callable[..., Any], share: float) -> None:
+    assert coverage(draw, share, where(share), 30) >= 0.83
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("draw", [fresh_starts, same_starts])
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_the_interval_of_a_crossing_covers_that_of_a_logistic_many_times(
+    draw: Callable[..., Any], share: float
+) -> None:
+    assert 0.89 <= coverage(draw, share, where(share), 150) <= 0.99
+
+
+@pytest.mark.slow
+def test_the_interval_of_a_crossing_covers_the_mean_of_trainings_that_differ() -> None:
+    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
+    mean = weights @ (1 / (1 + np.exp((LEVELS - MIDDLE - 0.03 * nodes[:, None]) / WIDTH))) / weights.sum()
+    truth = crossing(LEVELS, np.tile(mean, (20_000, 1)), 0.5, resamples=2).level
+    assert truth == pytest.approx(MIDDLE, abs=1e-3)
+    assert 0.90 <= coverage(trainings, 0.5, truth, 200) <= 0.99
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
+def test_the_crossing_of_an_exact_logistic_is_exact_between_levels(share: float) -> None:
+    rows = np.tile(1 / (1 + np.exp((LEVELS - MIDDLE) / WIDTH)), (20_000, 1))
+    found = crossing(LEVELS, rows, share, resamples=2)
+    assert found.level == pytest.approx(where(share), abs=2e-4)
+    assert found.low == pytest.approx(found.high, abs=1e-9)
+
+
+def test_a_curve_that_rises_by_chance_is_levelled() -> None:
+    outcomes = np.repeat([[1.0, 0.4, 0.6, 0.0]], 50, axis=0)
+    assert crossing([1, 2, 3, 4], outcomes, 0.6).level == pytest.approx(
+        crossing([1, 2, 3, 4], np.repeat([[1.0, 0.5, 0.5, 0.0]], 50, axis=0), 0.6).level
+    )
+
+
+def test_a_crossing_beyond_the_levels_is_infinite_and_one_near_the_end_may_be() -> None:
+    assert crossing([0.1, 0.2], np.ones((20, 2))) == (np.inf, np.inf, np.inf)
+    assert crossing([0.1, 0.2], np.zeros((20, 2))) == (-np.inf, -np.inf, -np.inf)
+    outcomes = np.ones((20, 2))
+    outcomes[:11, 1] = 0
+    found = crossing([0.1, 0.2], outcomes)
+    assert 0.1 < found.low < found.level < 0.2
+    assert found.high == np.inf
+
+
+def test_crossings_are_the_same_for_the_same_seed() -> None:
+    outcomes = fresh_starts(np.random.default_rng(0))
+    assert crossing(LEVELS, outcomes, seed=3) == crossing(LEVELS, outcomes, seed=3)
+
+
+@pytest.mark.parametrize(
+    ("levels", "outcomes", "share", "message"),
+    [
+        (
+            [1, 2],
+            np.ones((5, 3)),
+            0.5,
+            "Expected levels (L,) and outcomes (n, L) with at least two rows; got (2,) and (5, 3).",
+        ),
+        ([2, 1], np.ones((5, 2)), 0.5, "The levels must increase; got [2.0, 1.0]."),
+        ([1, 2], np.ones((5, 2)), 1.0, "share must lie between 0 and 1; got 1.0."),
+    ],
+)
+def test_crossings_of_nonsense_are_refused(levels: Any, outcomes: Any, share: float, message: str) -> None:
+    with pytest.raises(ValueError, match=whole(message)):
+        crossing(levels, outcomes, share)
+
+
+# ------------------------------------------------------------------------------------------------------- worst cases
+
+
+def test_the_worst_share_is_the_mean_of_the_worst_the_last_in_part() -> None:
+    values = np.random.default_rng(0).permutation(np.arange(1.0, 11.0))
+    assert worst_cases(values, 0.2)[0::3] == (1.5, 1.0)
+    assert worst_cases(values, 0.25).cvar == pytest.approx((1 + 2 + 0.5 * 3) / 2.5)
+    assert worst_cases(values, 0.2, "high")[0::3] == (9.5, 10.0)
+    assert worst_cases(values, 1.0).cvar == pytest.approx(5.5)
+
+
+def test_the_interval_of_the_worst_cases_covers_that_of_a_normal() -> None:
+    rng = np.random.default_rng(1)
+    truth = -stats.norm.pdf(stats.norm.ppf(0.1)) / 0.1
+    found = [worst_cases(rng.standard_normal(256), 0.1, resamples=200, seed=i) for i in range(100)]
+    assert 0.84 <= np.mean([each.low <= truth <= each.high for each in found]) <= 0.99
+
+
+def test_worst_cases_that_are_all_alike_have_no_width() -> None:
+    assert worst_cases(np.full(20, 0.7)) == pytest.approx((0.7, 0.7, 0.7, 0.7))
+
+
+@pytest.mark.parametrize(
+    ("values", "share", "bad", "message"),
+    [
+        (np.ones((3, 3)), 0.5, "low", "Expected one finite number a case, shape (n,); got shape (3, 3)."),
+        (np.ones(5), 0.1, "low", "The worst 0.1 of 5 cases is less than one case, or more than all."),
+        (np.ones(5), 0.5, "worse", 'bad must be "low" or "high"; got \'worse\'.'),
+    ],
+)
+def test_worst_cases_of_nonsense_are_refused(values: Any, share: float, bad: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=whole(message)):
+        worst_cases(values, share, bad)
