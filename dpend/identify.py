@@ -15,6 +15,7 @@ segments costs the solver no more than one.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -52,6 +53,9 @@ _STATE_STEP = 1e-5
 _LOG_STEP = 1e-5
 _STEP = 1e-4
 _DEPENDENT = 1e-6  # singular values below this share of the largest are zero but for rounding
+_GROWTH = 1e3  # a state's error may grow so much within a segment before it is no longer small
+_MISFIT = 0.5  # an autocorrelation of the residuals at which the model is said to lack something
+_ROUNDING = 1e-8  # what is left below this, in m or rad, is the arithmetic's
 _UNKNOWN = 1.0  # a standard error, as a share of the value, at which a parameter counts as not seen
 
 
@@ -140,10 +144,16 @@ def identify(
     TypeError
         If ``runs`` or ``start`` is something else.
     ValueError
-        If there is no such parameter or output, the runs hold no states, have different sample times or are shorter
-        than a segment; or if the data cannot tell the parameters, which the message names, with the remedy.
+        If there is no such parameter or output, the runs hold no states, have different sample times, are shorter than
+        a segment or run away within one; or if the data cannot tell the parameters, which the message names, with the
+        remedy.
     RuntimeError
         If the search does not converge.
+
+    Warns
+    -----
+    UserWarning
+        If what the model leaves is no noise, so that the intervals are too narrow.
 
     Notes
     -----
@@ -201,6 +211,15 @@ def identify(
     values, low, high = (problem.values(each) for each in (z, z - half, z + half))
     std = {n: float(e) if n in _MAY_VANISH else values[n] * float(e) for n, e in zip(names, errors, strict=True)}
     left = 1 / weights
+    repeated = {name: _autocorrelation(residuals[:, :, i]) for i, name in enumerate(seen)}
+    lacking = [n for n, std in zip(seen, left, strict=True) if repeated[n] > _MISFIT and std > _ROUNDING]
+    if lacking:
+        warnings.warn(
+            f"What the model leaves of {_listed(lacking)} is no noise (autocorrelation "
+            f"{max(repeated.values()):.2f}): something is missing from fit or wrong in start, or a delay or a unit is. "
+            "The intervals are too narrow.",
+            stacklevel=2,
+        )
     return Identified(
         params=replace(params, **values),
         values=values,
@@ -208,7 +227,7 @@ def identify(
         intervals={name: (low[name], high[name]) for name in names},
         correlation=covariance / np.outer(errors, errors),
         noise={name: float(each) for name, each in zip(seen, left, strict=True)},
-        autocorrelation={name: _autocorrelation(residuals[:, :, i]) for i, name in enumerate(seen)},
+        autocorrelation=repeated,
         residuals=residuals,
     )
 
@@ -229,6 +248,11 @@ class _Segments:
     @property
     def count(self) -> int:
         return len(self.u)
+
+    @property
+    def seconds(self) -> float:
+        """Length of a segment."""
+        return self.u.shape[1] * self.rig.sample_time
 
     @classmethod
     def cut(cls, runs: object, seconds: float, outputs: tuple[str, ...], substeps: int | None) -> _Segments:
@@ -328,6 +352,11 @@ class _Problem:
         params = self._plants(z[None])
         residuals, by_state = self._by_state(x0, params, weights)
         cost = (residuals**2).sum(axis=1)
+        if not np.isfinite(cost).all():
+            raise ValueError(
+                "From the states measured the plant runs away beyond all numbers: are the units right (radians, "
+                "metres, newtons), and the start anywhere near?"
+            )
         damping = np.full(len(x0), 1e-9)
         for _ in range(30):
             gram = by_state.transpose(0, 2, 1) @ by_state
@@ -338,7 +367,7 @@ class _Problem:
             gain = -(slope * step).sum(axis=1)  # what a linear segment would gain, twice
             if np.all(gain <= 1e-14 * (cost + 1e-300) + 1e-24):
                 break
-            tried = x0 + step
+            tried = x0 + np.where(np.isfinite(step).all(axis=1, keepdims=True), step, 0.0)
             new, new_by_state = self._by_state(tried, params, weights)
             new_cost = (new**2).sum(axis=1)
             better = new_cost <= cost
@@ -348,6 +377,12 @@ class _Problem:
             if np.all(stuck | (better & (cost - new_cost <= 1e-13 * cost))):
                 break
             cost = np.where(better, new_cost, cost)
+        growth = float(np.abs(by_state / np.tile(weights, self.data.y.shape[1])[:, None]).max())
+        if growth > _GROWTH:
+            raise ValueError(
+                f"Within a segment an error of the state grows {growth:.0f} times, more than the {_GROWTH:.0f} up to "
+                f"which the search can follow: make segment shorter than {self.data.seconds:g} s."
+            )
         self._x0 = x0  # a good beginning for the next parameters
         basis = np.linalg.qr(by_state)[0]
         return residuals, x0, basis, self._by_params(z, x0, weights)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -86,7 +88,8 @@ def test_intervals_hold_where_all_noise_is_rounding() -> None:
 def test_what_is_left_is_noise_unless_the_model_lacks_something() -> None:
     found = identify(recorded(0), START, FIT)
     assert all(abs(each) < 0.25 for each in found.autocorrelation.values())
-    lacking = identify(recorded(0), START.replace(length2=1.2), FIT)
+    with pytest.warns(UserWarning, match=r"^What the model leaves of .* The intervals are too narrow\.$"):
+        lacking = identify(recorded(0), START.replace(length2=1.2), FIT)
     assert max(lacking.autocorrelation.values()) > 0.5
 
 
@@ -149,6 +152,17 @@ def test_a_laboratorys_table_gives_a_rig_of_its_own(tmp_path: Path) -> None:
     assert_allclose(LQR(mine).K, LQR(TRUE).K, rtol=0.01)
     said = str(found).splitlines()
     assert [line.split()[0] for line in said] == ["parameter", *FIT, "left", "left", "left"]
+
+
+def test_the_example_of_the_documentation_finds_its_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parent.parent / "docs" / "identify.md").read_text()
+    (example,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(compile(example, "identify.md", "exec"), names)
+    for name, value in names["found"].values.items():
+        assert abs(value - getattr(names["true"].params, name)) < 4 * names["found"].errors[name], name
+    assert names["rig"].params.mass1 == pytest.approx(0.55, rel=0.01)
 
 
 def test_the_result_does_not_depend_on_where_the_search_begins() -> None:
@@ -219,6 +233,19 @@ def test_what_is_drowned_in_noise_is_refused() -> None:
     still = dpend.simulate(TRUE, LQR(TRUE), np.zeros(6), 3.0)
     with pytest.raises(ValueError, match=r"^The data say next to nothing of .* leave .* out of fit\.$"):
         identify(still, TRUE.replace(cart_mass=1.05), ("cart_mass", "inertia1", "inertia2"))
+
+
+def test_segments_in_which_errors_grow_beyond_measure_are_refused() -> None:
+    run = dpend.simulate(TRUE.replace(force_noise=3.0), LQR(TRUE), [0.3, 0.1, -0.1, 0, 0, 0], 6.0)
+    message = r"^Within a segment an error of the state grows \d+ times, .* make segment shorter than 2 s\.$"
+    with pytest.raises(ValueError, match=message):
+        identify(run, TRUE, MASSES, segment=2.0)
+
+
+def test_measurements_in_another_unit_are_refused() -> None:
+    run = recorded(0)
+    with pytest.raises(ValueError, match=r"^(From the states measured the plant runs away|Within a segment an error)"):
+        identify(replace(run, y=np.rad2deg(run.y)), START, FIT)
 
 
 def test_wrong_use_is_refused() -> None:
