@@ -3,6 +3,7 @@
 from .constant import Constant, Zero
 from .energy import EnergyPump, EnergySwingUp
 from .estimators import EKF, UKF, Predictor, WithEstimator
+from .ilqr import ILQRMPC, ilqr
 from .lqr import LQR, BangBang, Margins
 from .sdre import SDRE
 from .smoothing import LowPass, RateLimit
@@ -11,6 +12,7 @@ from .trajectory import Trajectory
 
 __all__ = [
     "EKF",
+    "ILQRMPC",
     "LQR",
     "SDRE",
     "UKF",
@@ -29,4 +31,5 @@ __all__ = [
     "Trajectory",
     "WithEstimator",
     "Zero",
+    "ilqr",
 ]

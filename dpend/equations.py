@@ -68,6 +68,79 @@ def make_rates(sin, cos):
     return rates
 
 
+def make_acceleration_slopes(sin, cos):
+    r"""Build :math:`\partial\ddot q/\partial z = D^{-1}(\partial r/\partial z - (\partial D/\partial z)\,\ddot q)`.
+
+    Here :math:`D\ddot q = r` are the equations of :func:`make_rates`, which alone say what the plant is.  This is their
+    derivative for planners that need it a million times a second; a test holds it to the complex step.
+
+    Parameters
+    ----------
+    sin, cos : callable
+        Sine and cosine for the kind of number the result is to take.
+
+    Returns
+    -------
+    callable
+        ``slopes(x, accelerations, c)``: for each of ``(th1, th2, vel, om1, om2, force on the cart)`` the three slopes
+        of the accelerations ``(acc, al1, al2)``, given state, accelerations and coefficients.
+    """
+
+    def slopes(x, accelerations, c):
+        _, th1, th2, vel, om1, om2 = x
+        acc, al1, al2 = accelerations
+        s1 = sin(th1)
+        c1 = cos(th1)
+        s2 = sin(th2)
+        c2 = cos(th2)
+        s12 = s1 * c2 - c1 * s2
+        c12 = c1 * c2 + s1 * s2
+        w1 = om1 * om1
+        w2 = om2 * om2
+        per_mass = 1.0 / c.d1
+        e1 = c.d2 * c1 * per_mass
+        e2 = c.d3 * c2 * per_mass
+        m11 = c.d4 - c.d2 * c1 * e1
+        m12 = c.d5 * c12 - c.d2 * c1 * e2
+        m22 = c.d6 - c.d3 * c2 * e2
+        per_det = 1.0 / (m11 * m22 - m12 * m12)
+        # D^{-1}, entry by entry
+        i11 = m22 * per_det
+        i12 = -m12 * per_det
+        i22 = m11 * per_det
+        i01 = -(e1 * i11 + e2 * i12)
+        i02 = -(e1 * i12 + e2 * i22)
+        i00 = per_mass - e1 * i01 - e2 * i02
+
+        # dr/dz - dD/dz qdd, for both angles
+        p0 = c.d2 * (c1 * w1 + s1 * al1)
+        p1 = c.f1 * c1 - c.d5 * (c12 * w2 - s12 * al2) + c.d2 * s1 * acc
+        p2 = c.d5 * (c12 * w1 + s12 * al1)
+        q0 = c.d3 * (c2 * w2 + s2 * al2)
+        q1 = c.d5 * (c12 * w2 - s12 * al2)
+        q2 = c.f2 * c2 - c.d5 * (c12 * w1 + s12 * al1) + c.d3 * s2 * acc
+        # dr/dz, for the three rates
+        speed = c.coulomb_speed * c.coulomb_speed
+        root = (vel * vel + speed) ** 0.5
+        rub = -c.b0 - c.coulomb * speed / (root * root * root)
+        r0 = 2.0 * c.d2 * s1 * om1
+        r1 = -c.b1 - c.b2
+        r2 = 2.0 * c.d5 * s12 * om1 + c.b2
+        t0 = 2.0 * c.d3 * s2 * om2
+        t1 = c.b2 - 2.0 * c.d5 * s12 * om2
+        t2 = -c.b2
+        return (
+            (i00 * p0 + i01 * p1 + i02 * p2, i01 * p0 + i11 * p1 + i12 * p2, i02 * p0 + i12 * p1 + i22 * p2),
+            (i00 * q0 + i01 * q1 + i02 * q2, i01 * q0 + i11 * q1 + i12 * q2, i02 * q0 + i12 * q1 + i22 * q2),
+            (i00 * rub, i01 * rub, i02 * rub),
+            (i00 * r0 + i01 * r1 + i02 * r2, i01 * r0 + i11 * r1 + i12 * r2, i02 * r0 + i12 * r1 + i22 * r2),
+            (i00 * t0 + i01 * t1 + i02 * t2, i01 * t0 + i11 * t1 + i12 * t2, i02 * t0 + i12 * t1 + i22 * t2),
+            (i00, i01, i02),
+        )
+
+    return slopes
+
+
 def make_energies(cos):
     r"""Build :math:`T = \tfrac12 \dot q^\top D(q)\,\dot q` and :math:`V = f_1\cos\theta_1 + f_2\cos\theta_2`.
 

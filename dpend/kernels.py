@@ -105,7 +105,9 @@ def cos(angle):
 
 
 rates = inline(equations.make_rates(sin, cos))
-rk4 = inline(equations.make_rk4(rates, inline(equations.ahead)))
+ahead = inline(equations.ahead)
+rk4 = inline(equations.make_rk4(rates, ahead))
+acceleration_slopes = inline(equations.make_acceleration_slopes(sin, cos))
 
 
 @inline

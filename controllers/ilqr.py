@@ -1,0 +1,888 @@
+r"""Iterative LQR with a force box and multiple shooting: whole motions offline, and a receding horizon in real time.
+
+A plan :math:`(x_0 \dots x_N, u_0 \dots u_{N-1})` is to cost little,
+
+.. math::
+    J = \sum_{k<N} \bigl( e(x_k)^\top Q\, e(x_k) + R u_k^2 + w(x_k) \bigr) + e(x_N)^\top P\, e(x_N) + w(x_N),
+    \qquad x_{k+1} = f(x_k, u_k), \quad |u_k| \le F,
+
+with the residuals :math:`e` of ``controllers/residuals.py``, :math:`P` of the LQR at the target, and walls :math:`w`
+that rise quadratically within a margin of the track's end.  An iteration linearises the sample :math:`f` along the
+plan, gaps :math:`f(x_k, u_k) - x_{k+1}` included, runs the Riccati recursion back to front with the steps of the force
+clamped to the box (a clamped force has no feedback), and follows the result through the plant; it is taken only if it
+costs less.
+
+Sources: Y. Tassa, N. Mansard and E. Todorov, *Control-limited differential dynamic programming*, ICRA 2014; M.
+Giftthaler et al., *A family of iterative Gauss-Newton shooting methods for nonlinear optimal control*, IROS 2018; C.
+Mastalli et al., *Crocoddyl*, ICRA 2020 (how gaps close).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from dpend.controller import Act
+from dpend.kernels import acceleration_slopes, ahead, compiled, cos, inline, rates, sample, sin
+from dpend.params import Array, Coefficients
+from dpend.rig import Rig, as_rig
+from dpend.state import as_equilibrium, as_states
+
+from .lqr import LQR
+from .residuals import make_residuals
+from .trajectory import Trajectory
+
+_TURN = 2 * math.pi
+_COLD = 60  # iterations for each start of a first plan
+_COARSE = 1e-4  # relative gain below which one of several plans counts as converged
+_TRIALS = 8  # lengths of step tried in an iteration
+_HORIZON, _HORIZON_UPRIGHT = 6.26, 2.5  # in units of sqrt(L / g)
+
+
+class Step(IntEnum):
+    """What a receding horizon did in a sample: the numbers in its log under ``status``."""
+
+    IMPROVED = 0
+    """An iteration lowered the plan's cost."""
+    CONVERGED = 1
+    """There was nothing left to gain."""
+    FELL_BACK = 2
+    """No iteration lowered the cost: the plan of before goes on, by its own feedback gains."""
+    PLANNED = 3
+    """There was no plan yet, so one was made from several starts."""
+    SWITCHED = 4
+    """Another plan, made beside the one in use, turned out cheaper and took its place."""
+
+
+def ilqr(
+    rig: Rig | str,
+    x0: npt.ArrayLike,
+    target: str | npt.ArrayLike = "up-up",
+    *,
+    horizon: int | None = None,
+    u_guess: npt.ArrayLike | None = None,
+    x_guess: npt.ArrayLike | None = None,
+    Q: Sequence[float] | None = None,
+    R: float | None = None,
+    upright_only: bool = False,
+    starts: int = 8,
+    iterations: int = 200,
+    tolerance: float = 1e-6,
+    seed: int = 0,
+) -> Trajectory:
+    r"""Plan :math:`\min_u \sum_k e_k^\top Q e_k + R u_k^2 + w_k + e_N^\top P e_N` from a state to an equilibrium.
+
+    The same arguments give the same plan.  Without a guess, the plan is the cheapest of several: from the saturated
+    regulator, from a straight line of states, and from random forces in mirrored pairs.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        Plant, clock, force and track limits; actuator and sensors do not enter.
+    x0 : array_like (6,)
+        Where the motion starts.
+    target : str or array_like (6,)
+        The name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere on the track; any whole turn of
+        it will do.
+    horizon : int, optional
+        :math:`N`, samples, at least 2; left out, :math:`6.26\sqrt{L/g}`, and :math:`2.5\sqrt{L/g}` with
+        ``upright_only``, where :math:`L` is the mean length of the links: 2 s and 0.8 s for links of 1 m.
+    u_guess : array_like (N,), optional
+        Forces to start from, clipped to the limit; alone, they are followed through the plant.
+    x_guess : array_like (N + 1, 6), optional
+        States to start from; they need not be a motion, but begin at ``x0``.
+    Q : sequence of six floats, optional
+        Weights of the residuals, at least zero; left out, (10, 50, 50, 1, 1, 1), scaled from links of 1 m.
+    R : float, optional
+        Weight of the force, greater than zero; left out, 0.1, scaled from a plant of 2 kg by its weight.
+    upright_only : bool
+        Hold both links within a quarter turn of the target, by walls like the track's.
+    starts : int
+        Random starts, at least zero.
+    iterations : int
+        Most iterations for each start.
+    tolerance : float
+        Stop when an iteration promises to lower the cost by less than this share.
+    seed : int
+        What the random starts are drawn from.
+
+    Returns
+    -------
+    Trajectory
+        A motion of the plant within the force limit; ``about`` tells ``converged``, ``iterations``, ``cost``,
+        ``starts_tried`` and the settings.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range or has the wrong shape, or the rig describes several plants.
+    """
+    planner = _Planner(as_rig(rig), target, horizon, Q, R, upright_only)
+    start = np.asarray(x0, dtype=np.float64)
+    if start.shape != (6,):
+        raise ValueError(f"x0 must be one state of shape (6,); got shape {start.shape}.")
+    start = as_states(start)[0]
+    _check_whole("starts", starts, 0)
+    _check_whole("iterations", iterations, 0)
+    if not (math.isfinite(tolerance) and tolerance >= 0):
+        raise ValueError(f"tolerance must be finite and at least 0; got {tolerance!r}.")
+    problem = planner.about(start)
+    if u_guess is None and x_guess is None:
+        plan, tried = planner.cold(start, starts, np.random.default_rng(seed), iterations, _COARSE)
+    else:
+        plan, tried = planner.guessed(problem, start, u_guess, x_guess), 1
+    used = plan.iterations
+    plan = planner.improved(problem, plan, max(iterations - used, 0), tolerance)
+    return Trajectory(
+        rig=planner.rig,
+        x=plan.x,
+        u=plan.u,
+        target=np.array(_nearest.py_func(tuple(plan.x[-1]), problem)),
+        about={
+            "method": "iLQR",
+            "converged": plan.converged,
+            "iterations": used + plan.iterations,
+            "cost": plan.cost,
+            "starts_tried": tried,
+            "seed": seed,
+            "Q": planner.Q.tolist(),
+            "R": planner.R,
+            "upright_only": upright_only,
+        },
+    )
+
+
+class ILQRMPC:
+    r"""Receding horizon: each sample a plan over the next :math:`N` is improved by iLQR, and its first force applied.
+
+    A sample shifts the plan, follows it from the measured state with its feedback gains (an extra sample at its end is
+    the saturated LQR's), and lowers its cost by at most ``iterations`` iterations.  Where none does, the plan that was
+    followed stands: its own gains answer for the deviation.  The first plan is the cheapest of several starts, because
+    hanging at rest the cost has no slope.  While the plan is still dear, a challenger from random forces is worked on
+    beside it in the same way, replaced after 15 samples, and takes over when it is 5 % cheaper; what makes a plan poor
+    (a model that is wrong, a push) seldom shows at the start.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        What the planner believes: plant, clock, force and track limits.  Delay and noise are an estimator's business.
+    target : str or array_like (6,)
+        The name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere on the track.  The nearest whole
+        turn counts, wherever the plan is.
+    horizon : int, optional
+        :math:`N`, samples, at least 2; left out, as in :func:`ilqr`.
+    Q : sequence of six floats, optional
+        Weights of the residuals, at least zero; left out, (10, 50, 50, 1, 1, 1), scaled from links of 1 m.
+    R : float, optional
+        Weight of the force, greater than zero; left out, 0.1, scaled from a plant of 2 kg by its weight.
+    iterations : int
+        Most iterations a sample for a plan; with none, the first plan is followed by its gains and the regulator's.
+    starts : int
+        Random starts of the first plan, in mirrored pairs.
+    explore : bool
+        Whether a challenger is worked on.
+    upright_only : bool
+        Hold both links within a quarter turn of the target, by walls like the track's: for balancing, where more is a
+        failure.  The default horizon is then shorter; challengers are not made.
+
+    Attributes
+    ----------
+    lqr : LQR
+        The regulator at the target, whose ``P`` weighs the end of the plan.
+    horizon : int
+        :math:`N`.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, the rig describes several plants, or there is no regulator at the target.
+
+    Notes
+    -----
+    ``act.log`` tells, a sample, ``status`` (:class:`Step`), ``iterations`` and ``cost``.  The force is finite whatever
+    is measured: a measurement that is not finite is taken as the one planned for.
+    """
+
+    batched = False
+    name = "iLQR MPC"
+
+    def __init__(
+        self,
+        rig: Rig | str,
+        *,
+        target: str | npt.ArrayLike = "up-up",
+        horizon: int | None = None,
+        Q: Sequence[float] | None = None,
+        R: float | None = None,
+        iterations: int = 2,
+        starts: int = 8,
+        explore: bool = True,
+        upright_only: bool = False,
+    ) -> None:
+        self._planner = _Planner(as_rig(rig), target, horizon, Q, R, upright_only)
+        _check_whole("iterations", iterations, 0)
+        _check_whole("starts", starts, 0)
+        self.rig = self._planner.rig
+        self.lqr = self._planner.lqr
+        self.horizon = self._planner.horizon
+        self.iterations = int(iterations)
+        self.starts = int(starts)
+        self.explore = bool(explore) and not upright_only
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Give the law for one run."""
+        if n != 1:
+            raise ValueError(f"An iLQR horizon treats one run at a time; got n = {n}.")
+        return _Horizon(self._planner, self.iterations, self.starts, self.explore, rng)
+
+
+# ---------------------------------------------------------------------------------------------------- planner and plans
+
+
+class _Plan(NamedTuple):
+    """States, forces and feedback gains, and how they came about."""
+
+    x: Array
+    u: Array
+    K: Array
+    cost: float
+    iterations: int
+    accepted: int
+    converged: bool
+
+
+class _Problem(NamedTuple):
+    """What the compiled code needs to know."""
+
+    coefficients: tuple[float, ...]
+    h: float
+    substeps: int
+    force_limit: float
+    target: tuple[float, ...]
+    turn: float
+    """Angle after which the target recurs; zero where only this target counts."""
+    Q: tuple[float, ...]
+    R: float
+    soft_track: float
+    track_weight: float
+    soft_angle: float
+    angle_weight: float
+
+
+class _Planner:
+    """A rig, a target and their weights: whatever plans have in common."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        target: str | npt.ArrayLike,
+        horizon: int | None,
+        Q: Sequence[float] | None,
+        R: float | None,
+        upright_only: bool,
+    ) -> None:
+        if rig.n is not None:
+            raise ValueError(f"iLQR plans for one plant; got a rig of {rig.n} rows.")
+        params = rig.params
+        g, L = float(params.gravity), float(params.length1 + params.length2) / 2
+        mass = float(params.coefficients().d1)
+        if g == 0 and (horizon is None or Q is None or R is None):
+            raise ValueError("Without gravity there is no scale of time and force: give horizon, Q and R.")
+        # What follows is (10, 50, 50, 1, 1, 1), 0.1 where links have 1 m and the plant 2 kg, and alike everywhere else.
+        if Q is None:
+            Q = (10 / L**2, 50.0, 50.0, 9.81 / (g * L), 9.81 * L / g, 9.81 * L / g)
+        self.Q = np.array(Q, dtype=np.float64)
+        if self.Q.shape != (6,) or not np.isfinite(self.Q).all() or (self.Q < 0).any():
+            raise ValueError(f"Q must be six finite weights, at least 0, of pos, th1, th2, vel, om1, om2; got {Q!r}.")
+        self.R = 0.1 * (2 * 9.81 / (mass * g)) ** 2 if R is None else R
+        if horizon is None:
+            horizon = max(
+                round((_HORIZON_UPRIGHT if upright_only else _HORIZON) * math.sqrt(L / g) / rig.sample_time), 2
+            )
+        _check_whole("horizon", horizon, 2)
+        self.rig = rig
+        self.horizon = int(horizon)
+        self.upright_only = bool(upright_only)
+        self.target = as_equilibrium(target)
+        self.lqr = LQR(rig, self.Q, self.R, about=self.target)
+        self.tail = np.ascontiguousarray(self.lqr.K[0])
+        self.P = np.array(self.lqr.P)
+        soft_track = float(rig.track_limit) * (1 - 1 / 16)  # 0.15 m of 2.4 m
+        if not abs(self.target[0]) < soft_track:
+            raise ValueError(
+                f"The target must be clear of the track's end: expected |pos| < {soft_track:g} m; "
+                f"got {self.target[0]:g} m."
+            )
+        self.problem = _Problem(
+            coefficients=tuple(float(c) for c in params.coefficients()),
+            h=rig.sample_time / rig.substeps,
+            substeps=rig.substeps,
+            force_limit=float(rig.force_limit),
+            target=tuple(self.target.tolist()),
+            turn=0.0 if upright_only else _TURN,
+            Q=tuple(self.Q.tolist()),
+            R=float(self.R),
+            soft_track=soft_track,
+            track_weight=1e4 / L**2,
+            soft_angle=math.pi / 2 - 0.15 if upright_only else math.inf,
+            angle_weight=1e4 if upright_only else 0.0,
+        )
+        # Random guesses: forces of the size of the plant's weight, held for a third of sqrt(L / g), on a cart that is
+        # drawn to where it should be.
+        pace = math.sqrt(L / g) if g > 0 else self.horizon * rig.sample_time / _HORIZON
+        self.kick = 0.5 * min(float(rig.force_limit), 2 * mass * L / pace**2)
+        self.hold = max(1, round(0.375 * pace / rig.sample_time))
+        stiffness = 0.64 / pace
+        self.centring = np.array([-mass * stiffness**2, 0.0, 0.0, -2 * mass * stiffness, 0.0, 0.0])
+        self.calm = 20.0 * float(self.Q[1] + self.Q[2])
+        """Cost of five samples upside down: what is cheaper needs no second thought."""
+
+    def about(self, x: Array) -> _Problem:
+        """Give the problem near a state: with walls about the target, its turns are those of the state."""
+        if not self.upright_only:
+            return self.problem
+        turns = _TURN * np.rint((x[1:3] - self.target[1:3]) / _TURN)
+        near = self.target[0], *(self.target[1:3] + turns).tolist(), 0.0, 0.0, 0.0
+        return self.problem._replace(target=near)
+
+    def followed(self, problem: _Problem, x0: Array, x: Array, u: Array, K: Array) -> _Plan:
+        """Give the motion from a state under forces and gains."""
+        new = _Plan(np.empty_like(x), np.empty_like(u), np.zeros_like(K), 0.0, 0, 0, False)
+        none = np.zeros_like(u)
+        cost = _rollout(x0, x, u, K, none, _NO_GAPS, 1.0, problem, self.P, new.x, new.u)
+        return new._replace(cost=cost)
+
+    def improved(self, problem: _Problem, plan: _Plan, iterations: int, tolerance: float) -> _Plan:
+        """Improve a plan in place; give it with its new figures."""
+        converged, tried, accepted, cost = _improve(
+            plan.x, plan.u, plan.K, problem, self.P, iterations, tolerance, _TRIALS
+        )
+        return plan._replace(cost=cost, iterations=tried, accepted=accepted, converged=converged)
+
+    def regulated(self, problem: _Problem, x0: Array) -> _Plan:
+        """Give the motion under the saturated regulator."""
+        near = np.array(_nearest.py_func(tuple(x0), problem))
+        N = self.horizon
+        return self.followed(problem, x0, np.tile(near, (N + 1, 1)), np.zeros(N), np.tile(-self.tail, (N, 1)))
+
+    def straight(self, problem: _Problem, x0: Array) -> _Plan:
+        """Give a straight line of states, which is no motion."""
+        near = np.array(_nearest.py_func(tuple(x0), problem))
+        share = np.linspace(0.0, 1.0, self.horizon + 1)[:, None]
+        N = self.horizon
+        return _Plan((1 - share) * x0 + share * near, np.zeros(N), np.zeros((N, 6)), math.inf, 0, 0, False)
+
+    def kicked(self, problem: _Problem, x0: Array, noise: Array) -> _Plan:
+        """Give the motion under random forces."""
+        N = self.horizon
+        u = np.repeat(self.kick * noise, self.hold)[:N]
+        middle = np.zeros((N + 1, 6))
+        middle[:, 0] = self.target[0]
+        return self.followed(problem, x0, middle, u, np.tile(self.centring, (N, 1)))
+
+    def noise(self, rng: np.random.Generator) -> Array:
+        """Draw the numbers that make one random guess."""
+        return rng.standard_normal(-(-self.horizon // self.hold))
+
+    def cold(
+        self, x0: Array, starts: int, rng: np.random.Generator, iterations: int, tolerance: float
+    ) -> tuple[_Plan, int]:
+        """Give the cheapest plan of several starts, and their number; random ones only if the others are dear."""
+        problem = self.about(x0)
+        iterations = min(iterations, _COLD)
+        guesses = [self.regulated(problem, x0), self.straight(problem, x0)]
+        plans = [self.improved(problem, guess, iterations, tolerance) for guess in guesses]
+        if not min(plan.cost for plan in plans) <= self.calm:
+            for _ in range(-(-starts // 2)):
+                noise = self.noise(rng)
+                for mirrored in (noise, -noise):
+                    plans.append(self.improved(problem, self.kicked(problem, x0, mirrored), iterations, tolerance))
+        finite = [plan for plan in plans if math.isfinite(plan.cost)]
+        return min(finite, key=lambda plan: plan.cost, default=plans[0]), len(plans)
+
+    def guessed(
+        self, problem: _Problem, x0: Array, u_guess: npt.ArrayLike | None, x_guess: npt.ArrayLike | None
+    ) -> _Plan:
+        """Give the plan that a caller guesses."""
+        N = self.horizon
+        u = np.zeros(N) if u_guess is None else np.array(u_guess, dtype=np.float64)
+        if u.shape != (N,) or not np.isfinite(u).all():
+            raise ValueError(f"u_guess must be finite forces of shape ({N},), one a sample; got shape {u.shape}.")
+        limit = float(self.rig.force_limit)
+        u = np.clip(u, -limit, limit)
+        if x_guess is None:
+            return self.followed(problem, x0, np.zeros((N + 1, 6)), u, np.zeros((N, 6)))
+        x = np.asarray(x_guess, dtype=np.float64)
+        if x.shape != (N + 1, 6):
+            raise ValueError(f"x_guess must be states of shape ({N + 1}, 6); got shape {x.shape}.")
+        x = as_states(x)
+        x[0] = x0
+        return _Plan(x, u, np.zeros((N, 6)), math.inf, 0, 0, False)
+
+
+class _Horizon:
+    """The law at work: the plan in use, the challenger, and the log."""
+
+    def __init__(
+        self, planner: _Planner, iterations: int, starts: int, explore: bool, rng: np.random.Generator
+    ) -> None:
+        self.log: dict[str, list[float]] = {"status": [], "iterations": [], "cost": []}
+        self._planner = planner
+        self._iterations = iterations
+        self._starts = starts
+        self._explore = explore and iterations > 0
+        self._rng = rng
+        self._plan: _Plan | None = None
+        self._challenger: _Plan | None = None
+        self._age = 0
+
+    def __call__(self, t: float, y: Array) -> Array:
+        x = np.array(y[0], dtype=np.float64)
+        if self._plan is None:
+            if not np.isfinite(x).all():
+                return self._told(Step.FELL_BACK, 0, math.nan, 0.0)
+            plan, _ = self._planner.cold(x, self._starts, self._rng, _COLD, _COARSE)
+            self._plan = plan
+            return self._told(Step.PLANNED, plan.iterations, plan.cost, plan.u[0])
+        problem = self._planner.about(x) if np.isfinite(x).all() else self._planner.problem
+        plan = self._plan = self._advanced(problem, x, self._plan)
+        status = Step.CONVERGED if plan.converged else Step.IMPROVED if plan.accepted else Step.FELL_BACK
+        if self._explore and plan.cost > self._planner.calm and self._cheaper(problem, x, plan):
+            status = Step.SWITCHED
+        return self._told(status, plan.iterations, self._plan.cost, self._plan.u[0])
+
+    def _told(self, status: Step, iterations: int, cost: float, force: float) -> Array:
+        self.log["status"].append(float(status))
+        self.log["iterations"].append(float(iterations))
+        self.log["cost"].append(cost)
+        return np.array([force])
+
+    def _advanced(self, problem: _Problem, x: Array, plan: _Plan) -> _Plan:
+        """Shift a plan by a sample, follow it from a state, and improve it.
+
+        A state that is not finite is taken as planned.  A plan that cannot be followed gives way to no force at all.
+        """
+        planner = self._planner
+        end = plan.x[-1]
+        tail = -float(planner.tail @ (end - np.array(_nearest.py_func(end.tolist(), problem))))
+        states = np.concatenate((plan.x[1:], plan.x[-1:]))
+        forces = np.append(plan.u[1:], min(max(tail, -problem.force_limit), problem.force_limit))
+        gains = np.concatenate((plan.K[1:], -planner.tail[None]))
+        if not np.isfinite(x).all():
+            x = states[0]
+        followed = planner.followed(problem, x, states, forces, gains)
+        if not math.isfinite(followed.cost):
+            gains[:], forces[:] = 0.0, 0.0
+            followed = planner.followed(problem, x, states, forces, gains)
+        if not math.isfinite(followed.cost):
+            followed.x[:], followed.u[:] = x, 0.0
+            return followed._replace(K=gains)
+        return planner.improved(problem, followed._replace(K=gains), self._iterations, 1e-6)
+
+    def _cheaper(self, problem: _Problem, x: Array, plan: _Plan) -> bool:
+        """Work on the challenger for a sample; tell whether it took over."""
+        if not np.isfinite(x).all():
+            return False
+        if self._challenger is None:
+            noise = self._planner.noise(self._rng)
+            guess = self._planner.kicked(problem, x, noise if plan.u[0] >= 0 else -noise)  # so a mirrored run mirrors
+            self._challenger = self._planner.improved(problem, guess, self._iterations, _COARSE)
+            self._age = 0
+            return False
+        challenger = self._advanced(problem, x, self._challenger)
+        self._age += 1
+        better = challenger.cost < 0.95 * plan.cost
+        if better:
+            self._plan = challenger
+        self._challenger = None if better or self._age >= 15 or challenger.converged else challenger
+        return better
+
+
+def _check_whole(name: str, value: Any, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} must be a whole number, at least {least}; got {value!r}.")
+
+
+# -------------------------------------------------------------------------------------------------------- compiled code
+#
+# Gradients and Hessians are halved throughout: the cost is a sum of squares, and the factors of two cancel.
+
+_residuals = inline(make_residuals(sin))
+_BLOCK = 32  # samples linearised side by side, so that LLVM turns the loop over them into vector instructions
+_NO_GAPS = np.empty((0, 6, 8))
+
+
+@inline
+def _row(a, k):
+    return a[k, 0], a[k, 1], a[k, 2], a[k, 3], a[k, 4], a[k, 5]
+
+
+@inline
+def _put(a, k, x):
+    a[k, 0] = x[0]
+    a[k, 1] = x[1]
+    a[k, 2] = x[2]
+    a[k, 3] = x[3]
+    a[k, 4] = x[4]
+    a[k, 5] = x[5]
+
+
+@inline
+def _clip(u, limit):
+    return max(min(u, limit), -limit)
+
+
+@inline
+def _nearest(x, p):
+    """Give the target by the whole turns that are nearest to a state."""
+    pos, th1, th2, vel, om1, om2 = p.target
+    return (
+        pos,
+        th1 + p.turn * np.rint((x[1] - th1) * (1.0 / _TURN)),
+        th2 + p.turn * np.rint((x[2] - th2) * (1.0 / _TURN)),
+        vel,
+        om1,
+        om2,
+    )
+
+
+@inline
+def _beyond(value, soft):
+    """Give by how much, with its sign, a value is beyond a bound on either side."""
+    return max(value - soft, 0.0) + min(value + soft, 0.0)
+
+
+@inline
+def _walls(x, target, p):
+    """Give how far a state is into the walls."""
+    return (
+        _beyond(x[0], p.soft_track),
+        _beyond(x[1] - target[1], p.soft_angle),
+        _beyond(x[2] - target[2], p.soft_angle),
+    )
+
+
+@inline
+def _wall_cost(x, target, p):
+    a, b, c = _walls(x, target, p)
+    return p.track_weight * a * a + p.angle_weight * (b * b + c * c)
+
+
+@inline
+def _stage_cost(x, u, p):
+    target = _nearest(x, p)
+    r = _residuals(x, target)
+    cost = p.R * u * u + _wall_cost(x, target, p)
+    for i in range(6):
+        cost += p.Q[i] * r[i] * r[i]
+    return cost
+
+
+@inline
+def _final_cost(x, P, p):
+    target = _nearest(x, p)
+    r = _residuals(x, target)
+    cost = _wall_cost(x, target, p)
+    for i in range(6):
+        row = 0.0
+        for j in range(6):
+            row += P[i, j] * r[j]
+        cost += r[i] * row
+    return cost
+
+
+@compiled
+def _cost_of(x, u, p, P):
+    """Give the cost of states and forces, be they a motion or not."""
+    cost = 0.0
+    for k in range(len(u)):
+        cost += _stage_cost(_row(x, k), u[k], p)
+    return cost + _final_cost(_row(x, len(u)), P, p)
+
+
+@inline
+def _residual_slopes(x, target):
+    """Give d e_i / d x_i; every residual depends on its own state alone."""
+    return 1.0, cos(0.5 * (x[1] - target[1])), cos(0.5 * (x[2] - target[2])), 1.0, 1.0, 1.0
+
+
+@inline
+def _add_walls(x, target, p, slopes, column, curvatures):
+    """Add the walls' halved slopes to a column of one array, and their halved curvatures to the diagonal of another."""
+    a, b, c = _walls(x, target, p)
+    slopes[0, column] += p.track_weight * a
+    slopes[1, column] += p.angle_weight * b
+    slopes[2, column] += p.angle_weight * c
+    curvatures[0, 0] += p.track_weight if a != 0.0 else 0.0
+    curvatures[1, 1] += p.angle_weight if b != 0.0 else 0.0
+    curvatures[2, 2] += p.angle_weight if c != 0.0 else 0.0
+
+
+@inline
+def _put_slopes(J, stage, j, slopes):
+    for a in range(6):
+        for b in range(3):
+            J[stage, 3 * a + b, j] = slopes[a][b]
+
+
+@inline
+def _tangent(J, s, j, z, push):
+    """Give the rates of a small deviation z under a small force, from the slopes at a stage."""
+    return (
+        z[3],
+        z[4],
+        z[5],
+        _along(J, s, 0, j, z, push),
+        _along(J, s, 1, j, z, push),
+        _along(J, s, 2, j, z, push),
+    )
+
+
+@inline
+def _along(J, s, b, j, z, push):
+    return (
+        J[s, b, j] * z[1]
+        + J[s, 3 + b, j] * z[2]
+        + J[s, 6 + b, j] * z[3]
+        + J[s, 9 + b, j] * z[4]
+        + J[s, 12 + b, j] * z[5]
+        + J[s, 15 + b, j] * push
+    )
+
+
+@compiled
+def _linearise(x, u, p, D):
+    """Fill D (N, 6, 8): seven columns of slopes of the sample by (x, u), and the gap from the next state.
+
+    The four stages of a Runge-Kutta step are visited once, their slopes kept, and six deviations led through them; the
+    seventh, of the position, stays what it is.
+    """
+    c = Coefficients(*p.coefficients)
+    h = p.h
+    N = len(u)
+    now = np.empty((6, _BLOCK))
+    Z = np.empty((6, 6, _BLOCK))  # deviation, state, sample
+    J = np.empty((4, 18, _BLOCK))
+    for start in range(0, N, _BLOCK):
+        m = min(_BLOCK, N - start)
+        for j in range(m):
+            for i in range(6):
+                now[i, j] = x[start + j, i]
+        Z[:] = 0.0
+        for i in range(5):
+            Z[i, i + 1, :] = 1.0
+        for _ in range(p.substeps):
+            for j in range(m):
+                f = (u[start + j], 0.0, 0.0)
+                x1 = (now[0, j], now[1, j], now[2, j], now[3, j], now[4, j], now[5, j])
+                k1 = rates(x1, f, c)
+                _put_slopes(J, 0, j, acceleration_slopes(x1, k1[3:], c))
+                x2 = ahead(x1, k1, 0.5 * h)
+                k2 = rates(x2, f, c)
+                _put_slopes(J, 1, j, acceleration_slopes(x2, k2[3:], c))
+                x3 = ahead(x1, k2, 0.5 * h)
+                k3 = rates(x3, f, c)
+                _put_slopes(J, 2, j, acceleration_slopes(x3, k3[3:], c))
+                x4 = ahead(x1, k3, h)
+                k4 = rates(x4, f, c)
+                _put_slopes(J, 3, j, acceleration_slopes(x4, k4[3:], c))
+                for i in range(6):
+                    now[i, j] = x1[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+            for d in range(6):
+                push = 1.0 if d == 5 else 0.0
+                for j in range(m):
+                    z = (Z[d, 0, j], Z[d, 1, j], Z[d, 2, j], Z[d, 3, j], Z[d, 4, j], Z[d, 5, j])
+                    k1 = _tangent(J, 0, j, z, push)
+                    k2 = _tangent(J, 1, j, ahead(z, k1, 0.5 * h), push)
+                    k3 = _tangent(J, 2, j, ahead(z, k2, 0.5 * h), push)
+                    k4 = _tangent(J, 3, j, ahead(z, k3, h), push)
+                    for i in range(6):
+                        Z[d, i, j] = z[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+        for j in range(m):
+            k = start + j
+            for i in range(6):
+                D[k, i, 0] = 1.0 if i == 0 else 0.0
+                for d in range(6):
+                    D[k, i, d + 1] = Z[d, i, j]
+                D[k, i, 7] = now[i, j] - x[k + 1, i]
+
+
+@compiled
+def _backward(x, u, p, P, D, damping, du, K):
+    r"""Run the Riccati recursion back to front; fill the steps of the forces du (N,) and the gains K (N, 6).
+
+    With the columns M = (A, B) of a sample, G = M'SM plus the stage's own curvature, and its last column the gradient.
+    Gives the halved first and second order changes of the cost under the full step, and the greatest halved slope of
+    the cost by any state.
+    """
+    N = len(u)
+    S = np.empty((6, 6))
+    s = np.empty((6, 1))
+    W = np.empty((6, 8))
+    G = np.empty((7, 8))
+    end = _row(x, N)
+    target = _nearest(end, p)
+    r = _residuals(end, target)
+    e = _residual_slopes(end, target)
+    for i in range(6):
+        total = 0.0
+        for j in range(6):
+            total += P[i, j] * r[j]
+            S[i, j] = e[i] * P[i, j] * e[j]
+        s[i, 0] = e[i] * total
+    _add_walls(end, target, p, s, 0, S)
+    first = 0.0
+    second = 0.0
+    steepest = 0.0
+    for k in range(N - 1, -1, -1):
+        for i in range(6):
+            for j in range(8):
+                W[i, j] = S[i, 0] * D[k, 0, j]
+            for b in range(1, 6):
+                for j in range(8):
+                    W[i, j] += S[i, b] * D[k, b, j]
+            W[i, 7] += s[i, 0]  # the gradient where the sample really ends, a gap away from the next state
+            steepest = max(steepest, abs(s[i, 0]))
+        for i in range(7):
+            for j in range(8):
+                G[i, j] = D[k, 0, i] * W[0, j]
+            for b in range(1, 6):
+                for j in range(8):
+                    G[i, j] += D[k, b, i] * W[b, j]
+        now = _row(x, k)
+        target = _nearest(now, p)
+        r = _residuals(now, target)
+        e = _residual_slopes(now, target)
+        for i in range(6):
+            G[i, 7] += p.Q[i] * e[i] * r[i]
+            G[i, i] += p.Q[i] * e[i] * e[i]
+        _add_walls(now, target, p, G, 7, G)
+        Qu = G[6, 7] + p.R * u[k]
+        Quu = G[6, 6] + p.R
+        damped = Quu * (1.0 + damping)
+        wished = -Qu / damped
+        step = max(min(wished, p.force_limit - u[k]), -p.force_limit - u[k])
+        gain = -1.0 / damped if step == wished else 0.0
+        du[k] = step
+        first += step * Qu
+        second += step * step * Quu
+        for i in range(6):
+            K[k, i] = gain * G[6, i]
+        for i in range(6):
+            s[i, 0] = G[i, 7] + step * G[6, i] + K[k, i] * (Quu * step + Qu)
+            for j in range(6):
+                S[i, j] = G[i, j] + K[k, i] * (Quu * K[k, j] + G[6, j]) + G[6, i] * K[k, j]
+    return first, second, steepest
+
+
+@compiled
+def _rollout(x0, x, u, K, du, D, length, p, P, x_new, u_new):
+    """Follow u + length du + K (x_new - x), clipped; leave the share 1 - length of every gap; give the cost."""
+    c = Coefficients(*p.coefficients)
+    N = len(u)
+    left = 1.0 - length
+    now = (x0[0], x0[1], x0[2], x0[3], x0[4], x0[5])
+    cost = 0.0
+    for k in range(N):
+        _put(x_new, k, now)
+        force = u[k] + length * du[k]
+        for i in range(6):
+            force += K[k, i] * (x_new[k, i] - x[k, i])
+        force = _clip(force, p.force_limit)
+        u_new[k] = force
+        cost += _stage_cost(now, force, p)
+        now = sample(now, (force, 0.0, 0.0), c, p.h, p.substeps)
+        if left > 0.0:
+            now = (
+                now[0] - left * D[k, 0, 7],
+                now[1] - left * D[k, 1, 7],
+                now[2] - left * D[k, 2, 7],
+                now[3] - left * D[k, 3, 7],
+                now[4] - left * D[k, 4, 7],
+                now[5] - left * D[k, 5, 7],
+            )
+    _put(x_new, N, now)
+    return cost + _final_cost(now, P, p)
+
+
+@inline
+def _keep(x, u, K, x_new, u_new, K_new):
+    for k in range(len(u)):
+        u[k] = u_new[k]
+        _put(x, k, _row(x_new, k))
+        _put(K, k, _row(K_new, k))
+    _put(x, len(u), _row(x_new, len(u)))
+
+
+@compiled
+def _improve(x, u, K, p, P, iterations, tolerance, trials):
+    """Improve a plan in place; give whether it converged, the iterations tried and accepted, and the cost.
+
+    While there are gaps, the cost counts them too, at twice the greatest slope by a state, which makes the penalty
+    exact.  Where a plan runs out of iterations with gaps left, they are closed by following it with its gains.
+    """
+    N = len(u)
+    D = np.empty((N, 6, 8))
+    du = np.zeros(N)
+    K_new = np.zeros((N, 6))
+    x_new = np.empty((N + 1, 6))
+    u_new = np.empty(N)
+    cost = _cost_of(x, u, p, P)
+    start = np.empty(6)
+    for i in range(6):
+        start[i] = x[0, i]
+    damping = 0.0
+    price = 0.0
+    gaps = 0.0
+    fresh = False
+    converged = False
+    tried = 0
+    accepted = 0
+    while True:
+        if not fresh:
+            _linearise(x, u, p, D)
+            gaps = 0.0
+            for k in range(N):
+                for i in range(6):
+                    gaps += abs(D[k, i, 7])
+            if gaps < 1e-9:
+                gaps = 0.0
+            fresh = True
+        if tried == iterations or damping > 1e6:
+            break
+        first, second, steepest = _backward(x, u, p, P, D, damping, du, K_new)
+        if gaps == 0.0 and -2.0 * first - second <= tolerance * cost:
+            _keep(x, u, K, x, u, K_new)
+            converged = True
+            break
+        price = max(price, 4.0 * steepest)
+        length = 1.0
+        tried += 1
+        better = False
+        cost_new = cost
+        for _ in range(trials):
+            cost_new = _rollout(start, x, u, K_new, du, D, length, p, P, x_new, u_new)
+            if gaps == 0.0:
+                better = cost_new < cost + 1e-4 * length * (2.0 * first + length * second)
+            else:
+                better = cost_new + (1.0 - length) * gaps * price < cost + (1.0 - 1e-4 * length) * gaps * price
+            if better:
+                break
+            length *= 0.4
+        if better:
+            _keep(x, u, K, x_new, u_new, K_new)
+            cost = cost_new
+            accepted += 1
+            fresh = False
+            damping = 0.2 * damping if damping > 1e-3 else 0.0
+        else:
+            damping = max(10.0 * damping, 1e-2)
+    if gaps > 0.0:
+        cost = _rollout(start, x, u, K, np.zeros(N), D, 1.0, p, P, x_new, u_new)
+        _keep(x, u, K, x_new, u_new, K)
+    return converged, tried, accepted, cost
