@@ -1,0 +1,314 @@
+"""A plan is what the plant does, costs less by every iteration, and keeps to the force; the horizon gets links up."""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from rigs import endless, random_params, random_states, whole
+
+import dpend
+from controllers import ILQRMPC, LQR, Trajectory, ilqr
+from dpend import SwingUp, equations
+from dpend.params import Array
+from dpend.rig import Rig
+
+inside: Any = sys.modules["controllers.ilqr"]  # the function of that name hides the module
+RIG = dpend.rig("gustafsson2016")
+HANGING = dpend.EQUILIBRIA["down-down"]
+STEP = 1e-30
+
+
+def drive(law: Any, y: Array, t: float = 0.0) -> float:
+    """Give the force for one measurement."""
+    return float(law(t, y[None])[0])
+
+
+def begin(controller: ILQRMPC, seed: int = 0) -> Any:
+    return controller.start(1, np.random.default_rng(seed))
+
+
+def planner(rig: Rig, **changes: Any) -> Any:
+    settings = {"target": "up-up", "horizon": None, "Q": None, "R": None, "upright_only": False} | changes
+    return inside._Planner(rig, **settings)
+
+
+# ---------------------------------------------------------------------------------------------------------- derivatives
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_slopes_of_the_accelerations_are_those_of_the_complex_step(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    params, x, u = random_params(rng), random_states(rng, 1)[0], float(rng.uniform(-40, 40))
+    slopes = equations.make_acceleration_slopes(np.sin, np.cos)
+    found = np.array(slopes(x, dpend.rates(x, u, params)[3:], params.coefficients())).T
+    A, B = dpend.linearize(params, x, u)
+    assert_allclose(found[:, :5], A[3:, 1:], rtol=1e-9, atol=1e-9)
+    assert_allclose(found[:, 5:], B[3:], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("substeps", [1, 3])
+def test_the_slopes_of_a_sample_are_those_of_the_complex_step(substeps: int) -> None:
+    rng = np.random.default_rng(substeps)
+    rig = endless(params=random_params(rng), substeps=substeps)
+    N = 40  # more than a block
+    x, u = random_states(rng, N + 1), rng.uniform(-40, 40, N)
+    D = np.empty((N, 6, 8))
+    inside._linearise(x, u, planner(rig).problem, D)
+    rk4 = equations.make_rk4(equations.make_rates(np.sin, np.cos))
+    for column in range(7):
+        moved, force = x[:-1].T.astype(complex), u.astype(complex)
+        if column < 6:
+            moved[column] += 1j * STEP
+        else:
+            force += 1j * STEP
+        after = tuple(moved)
+        for _ in range(substeps):
+            after = rk4(after, (force, 0.0, 0.0), rig.params.coefficients(), rig.sample_time / substeps)
+        assert_allclose(D[:, :, column], np.imag(after).T / STEP, rtol=1e-9, atol=1e-9)
+    assert_allclose(D[:, :, 7], np.real(after).T - x[1:], rtol=0, atol=1e-9)
+
+
+def test_on_a_linear_quadratic_problem_the_backward_pass_gives_the_riccati_gain() -> None:
+    mpc = planner(endless(), horizon=20)
+    x, u = np.zeros((21, 6)), np.zeros(20)
+    D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
+    A, B = (np.asarray(part) for part in dpend.discretize(*dpend.linearize(mpc.rig.params), mpc.rig.sample_time))
+    D[:, :, :6], D[:, :, 6:7], D[:, :, 7] = A, B, 0.0
+    inside._backward(x, u, mpc.problem, mpc.P, D, 0.0, du, K)
+    assert_allclose(K, np.tile(-mpc.lqr.K, (20, 1)), rtol=1e-7)
+    assert_array_equal(du, 0.0)
+
+
+def test_a_clamped_force_has_no_feedback_and_stays_in_the_box() -> None:
+    mpc = planner(RIG, horizon=20)
+    plan = mpc.straight(mpc.problem, np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0]))
+    D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
+    inside._linearise(plan.x, plan.u, mpc.problem, D)
+    inside._backward(plan.x, plan.u, mpc.problem, mpc.P, D, 0.0, du, K)
+    clamped = np.abs(plan.u + du) == RIG.force_limit
+    assert clamped.any()
+    assert not clamped.all()
+    assert (np.abs(plan.u + du) <= RIG.force_limit).all()
+    assert not K[clamped].any()
+    assert K[~clamped].any(axis=1).all()
+
+
+# -------------------------------------------------------------------------------------------------------------- offline
+
+
+def test_cost_never_rises_over_iterations() -> None:
+    mpc = planner(RIG)
+    plan = mpc.kicked(mpc.problem, HANGING.copy(), mpc.noise(np.random.default_rng(1)))
+    costs = [plan.cost]
+    for _ in range(30):
+        plan = mpc.improved(mpc.problem, plan, 1, 0.0)
+        costs.append(plan.cost)
+    assert (np.diff(costs) <= 0).all()
+    assert costs[-1] < 0.2 * costs[0]
+
+
+def test_the_cost_that_is_told_is_that_of_the_motion() -> None:
+    rig = RIG
+    plan = ilqr(rig, HANGING, horizon=60, starts=0, iterations=5)
+    mpc = planner(rig, horizon=60)
+    e = np.stack([_residuals(x, inside._nearest.py_func(tuple(x), mpc.problem)) for x in plan.x])
+    over = np.maximum(np.abs(plan.x[:, 0]) - 2.25, 0)
+    stages = (e[:-1] ** 2 * mpc.Q).sum() + 0.1 * (plan.u**2).sum() + 1e4 * (over**2).sum()
+    assert_allclose(plan.about["cost"], stages + e[-1] @ LQR(rig, mpc.Q, 0.1).P @ e[-1], rtol=1e-9)
+
+
+def _residuals(x: Array, target: Any) -> Array:
+    e = x - np.asarray(target)
+    e[1:3] = 2 * np.sin(e[1:3] / 2)
+    return e
+
+
+def test_a_swing_up_is_planned_from_hanging_at_rest() -> None:
+    plan = ilqr(RIG, HANGING, horizon=125, iterations=400)
+    assert isinstance(plan, Trajectory)
+    assert plan.about["converged"]
+    assert plan.about["starts_tried"] == 10
+    assert_array_equal(plan.x[0], HANGING)
+    assert np.abs(plan.x[-1] - plan.target)[1:3].max() < 0.1
+    assert plan.defect() < 1e-9
+    assert np.abs(plan.u).max() <= RIG.force_limit
+    assert np.abs(plan.x[:, 0]).max() < RIG.track_limit
+    again = ilqr(RIG, HANGING, horizon=125, iterations=400)
+    assert_array_equal(again.u, plan.u)
+
+
+def test_gaps_between_guessed_states_are_closed() -> None:
+    x0 = np.array([0.0, 0.3, -0.1, 0.0, 0.0, 0.0])
+    guess = np.linspace(1, 0, 51)[:, None] * x0
+    plan = ilqr(RIG, x0, horizon=50, x_guess=guess)
+    assert plan.about["converged"]
+    assert plan.about["starts_tried"] == 1
+    assert plan.defect() < 1e-9
+    unfinished = ilqr(RIG, x0, horizon=50, x_guess=guess, iterations=0)
+    assert not unfinished.about["converged"]
+    assert unfinished.defect() < 1e-9
+
+
+def test_a_guess_of_forces_is_followed_and_clipped() -> None:
+    guess = np.linspace(-100, 100, 30)
+    plan = ilqr(RIG, HANGING, horizon=30, u_guess=guess, iterations=0)
+    assert_array_equal(plan.u, np.clip(guess, -40, 40))
+
+
+def test_near_the_target_the_plan_is_the_regulators() -> None:
+    x0 = np.array([0.0, 1e-3, -1e-3, 0.0, 0.0, 0.0])
+    plan = ilqr(RIG, x0)
+    Q, R = (10.0, 50.0, 50.0, 1.0, 1.0, 1.0), 0.1
+    lqr = LQR(RIG, Q, R)
+    assert_allclose(plan.u[0], -lqr.K[0] @ x0, rtol=1e-3)
+    assert_allclose(plan.about["cost"], x0 @ lqr.P @ x0, rtol=1e-3)
+    assert plan.about["starts_tried"] == 2
+
+
+def test_walls_hold_the_links_to_a_quarter_turn() -> None:
+    x0 = np.array([0.0, 0.32, 0.32, 0.0, 0.0, 0.0]) + 2 * np.pi * np.array([0, 1, -1, 0, 0, 0])
+    plan = ilqr(RIG, x0, upright_only=True)
+    assert np.abs(plan.x[:, 1:3] - plan.target[1:3]).max() < np.pi / 2
+    assert_allclose(plan.target[1:3], [2 * np.pi, -2 * np.pi])
+
+
+# -------------------------------------------------------------------------------------------------------------- horizon
+
+
+@pytest.mark.parametrize("start", ["hanging", "side"])
+def test_an_unperturbed_swing_up_succeeds_within_the_force(start: str) -> None:
+    task = SwingUp(start=start, steps=300)
+    run = dpend.simulate(RIG, ILQRMPC(RIG), task.starts(np.random.default_rng(0), 1, RIG)[0], task=task)
+    assert run.success
+    assert np.abs(run.u).max() <= RIG.force_limit
+    assert np.isfinite(run.log["cost"]).all()
+    assert run.log["status"][0] == inside.Step.PLANNED
+    assert run.log["iterations"][1:].max() <= 2
+    assert run.log["status"][-1] == inside.Step.CONVERGED
+
+
+def test_without_iterations_the_first_plan_is_followed_by_its_gains() -> None:
+    task = SwingUp(steps=400)
+    run = dpend.simulate(RIG, ILQRMPC(RIG, iterations=0), HANGING + np.array([0, 0.01, 0, 0, 0, 0]), task=task)
+    assert run.success
+    assert set(run.log["status"][1:]) == {inside.Step.FELL_BACK}
+    assert not run.log["iterations"][1:].any()
+
+
+def test_the_cart_goes_to_its_set_point() -> None:
+    target = np.array([0.8, 0.0, 0.0, 0.0, 0.0, 0.0])
+    run = dpend.simulate(RIG, ILQRMPC(RIG, target=target), np.zeros(6), 6.0)
+    assert np.abs(run.x[-1] - target).max() < 0.02
+
+
+def test_a_mirrored_start_gives_mirrored_forces() -> None:
+    x0 = np.array([0.1, 3.0, 3.3, 0.2, -0.1, 0.3])
+    there, mirrored = (dpend.simulate(RIG, ILQRMPC(RIG), sign * x0, 0.6, task=None, seed=4).u for sign in (1.0, -1.0))
+    assert_allclose(there, -mirrored, rtol=0, atol=1e-6)
+
+
+def test_what_is_not_finite_is_never_answered_by_what_is_not() -> None:
+    broken = np.full(6, np.nan)
+    assert drive(begin(ILQRMPC(RIG)), broken) == 0.0
+    law = begin(ILQRMPC(RIG))
+    drive(law, np.array([0.0, 0.3, 0.1, 0.0, 0.0, 0.0]))
+    for y in (broken, np.full(6, np.inf), np.full(6, 1e200), np.array([0, 0, 0, 0, 1e6, -1e6]), np.zeros(6)):
+        assert abs(drive(law, y)) <= RIG.force_limit
+    assert abs(drive(law, np.zeros(6))) < 1e-6
+
+
+def test_a_plan_that_cannot_be_bettered_counts_as_converged() -> None:
+    law = begin(ILQRMPC(RIG))
+    for _ in range(3):
+        assert drive(law, np.zeros(6)) == 0.0
+    assert law.log == {"status": [3.0, 1.0, 1.0], "iterations": [0.0, 0.0, 0.0], "cost": [0.0, 0.0, 0.0]}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", dpend.rigs())
+def test_every_preset_is_swung_up(preset: str) -> None:
+    rig = dpend.rig(preset)
+    task = SwingUp(spread=0.1, steps=round(8 / rig.sample_time))
+    x0 = task.starts(np.random.default_rng(1), 3, rig)
+    assert dpend.simulate_many(rig, ILQRMPC(rig), x0, task=task).success.all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("goal", dpend.EQUILIBRIA)
+@pytest.mark.parametrize("start", dpend.EQUILIBRIA)
+def test_every_equilibrium_is_reached_from_every_other(start: str, goal: str) -> None:
+    task = SwingUp(start=start, target=goal, spread=0.1, steps=300)
+    x0 = task.starts(np.random.default_rng(1), 2, RIG)
+    assert dpend.simulate_many(RIG, ILQRMPC(RIG, target=goal), x0, task=task).success.all()
+
+
+@pytest.mark.slow
+def test_balancing_saves_all_that_lean_by_a_third_of_a_radian() -> None:
+    task = dpend.Balance(lam=0.2)
+    x0 = task.starts(np.random.default_rng(1), 20, RIG)
+    assert dpend.simulate_many(RIG, ILQRMPC(RIG, upright_only=True), x0, task=task).success.all()
+
+
+# ---------------------------------------------------------------------------------------------------------------- scale
+
+
+def test_a_rig_twice_as_long_with_time_scaled_alike_moves_alike() -> None:
+    twice = RIG.replace(length1=2.0, length2=2.0, track_limit=4.8, sample_time=0.02 * math.sqrt(2))
+    x0 = np.array([0.0, 3.0, 3.3, 0.0, 0.0, 0.0])
+    one, two = (ilqr(rig, x0, starts=2, iterations=20) for rig in (RIG, twice))
+    assert_allclose(two.u, one.u, rtol=0, atol=1e-3)
+    assert_allclose(two.x[:, 0], 2 * one.x[:, 0], rtol=0, atol=1e-3)
+
+
+# ------------------------------------------------------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"horizon": 1}, "horizon must be a whole number, at least 2; got 1."),
+        ({"iterations": -1}, "iterations must be a whole number, at least 0; got -1."),
+        ({"starts": 1.5}, "starts must be a whole number, at least 0; got 1.5."),
+        (
+            {"Q": (1, 2, 3)},
+            "Q must be six finite weights, at least 0, of pos, th1, th2, vel, om1, om2; got (1, 2, 3).",
+        ),
+        ({"R": 0.0}, "R, the weight of the force, must be a finite number greater than 0; got 0.0."),
+        (
+            {"target": (2.3, 0, 0, 0, 0, 0)},
+            "The target must be clear of the track's end: expected |pos| < 2.25 m; got 2.3 m.",
+        ),
+    ],
+)
+def test_settings_out_of_range_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=whole(message)):
+        ILQRMPC(RIG, **changes)
+
+
+def test_several_plants_and_no_gravity_are_refused() -> None:
+    with pytest.raises(ValueError, match=whole("iLQR plans for one plant; got a rig of 2 rows.")):
+        ILQRMPC(RIG.replace(mass1=np.array([0.4, 0.5])))
+    message = "Without gravity there is no scale of time and force: give horizon, Q and R."
+    with pytest.raises(ValueError, match=whole(message)):
+        ILQRMPC(RIG.replace(gravity=0.0))
+    with pytest.raises(ValueError, match=whole("An iLQR horizon treats one run at a time; got n = 2.")):
+        ILQRMPC(RIG).start(2, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"x0": np.zeros(5)}, "x0 must be one state of shape (6,); got shape (5,)."),
+        ({"tolerance": -1.0}, "tolerance must be finite and at least 0; got -1.0."),
+        ({"u_guess": np.zeros(9)}, "u_guess must be finite forces of shape (10,), one a sample; got shape (9,)."),
+        ({"x_guess": np.zeros((9, 6))}, "x_guess must be states of shape (11, 6); got shape (9, 6)."),
+    ],
+)
+def test_wrong_guesses_are_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=whole(message)):
+        ilqr(**({"rig": RIG, "x0": np.zeros(6), "horizon": 10} | changes))
