@@ -142,7 +142,7 @@ def ilqr(
         rig=planner.rig,
         x=plan.x,
         u=plan.u,
-        target=np.array(_nearest.py_func(tuple(plan.x[-1]), problem)),
+        target=np.array(_near(tuple(plan.x[-1]), problem)),
         about={
             "method": "iLQR",
             "converged": plan.converged,
@@ -220,7 +220,7 @@ class ILQRMPC:
         Q: Sequence[float] | None = None,
         R: float | None = None,
         iterations: int = 2,
-        starts: int = 8,
+        starts: int = 16,
         explore: bool = True,
         upright_only: bool = False,
     ) -> None:
@@ -366,13 +366,13 @@ class _Planner:
 
     def regulated(self, problem: _Problem, x0: Array) -> _Plan:
         """Give the motion under the saturated regulator."""
-        near = np.array(_nearest.py_func(tuple(x0), problem))
+        near = np.array(_near(tuple(x0), problem))
         N = self.horizon
         return self.followed(problem, x0, np.tile(near, (N + 1, 1)), np.zeros(N), np.tile(-self.tail, (N, 1)))
 
     def straight(self, problem: _Problem, x0: Array) -> _Plan:
         """Give a straight line of states, which is no motion."""
-        near = np.array(_nearest.py_func(tuple(x0), problem))
+        near = np.array(_near(tuple(x0), problem))
         share = np.linspace(0.0, 1.0, self.horizon + 1)[:, None]
         N = self.horizon
         return _Plan((1 - share) * x0 + share * near, np.zeros(N), np.zeros((N, 6)), math.inf, 0, 0, False)
@@ -469,7 +469,7 @@ class _Horizon:
         """
         planner = self._planner
         end = plan.x[-1]
-        tail = -float(planner.tail @ (end - np.array(_nearest.py_func(end.tolist(), problem))))
+        tail = -float(planner.tail @ (end - np.array(_near(end.tolist(), problem))))
         states = np.concatenate((plan.x[1:], plan.x[-1:]))
         forces = np.append(plan.u[1:], min(max(tail, -problem.force_limit), problem.force_limit))
         gains = np.concatenate((plan.K[1:], -planner.tail[None]))
@@ -537,8 +537,7 @@ def _clip(u, limit):
     return max(min(u, limit), -limit)
 
 
-@inline
-def _nearest(x, p):
+def _near(x, p):
     """Give the target by the whole turns that are nearest to a state."""
     pos, th1, th2, vel, om1, om2 = p.target
     return (
@@ -549,6 +548,9 @@ def _nearest(x, p):
         om1,
         om2,
     )
+
+
+_nearest = inline(_near)
 
 
 @inline

@@ -66,11 +66,11 @@ def test_the_slopes_of_a_sample_are_those_of_the_complex_step(substeps: int) -> 
             moved[column] += 1j * STEP
         else:
             force += 1j * STEP
-        after = tuple(moved)
+        after: Any = tuple(moved)
         for _ in range(substeps):
             after = rk4(after, (force, 0.0, 0.0), rig.params.coefficients(), rig.sample_time / substeps)
         assert_allclose(D[:, :, column], np.imag(after).T / STEP, rtol=1e-9, atol=1e-9)
-    assert_allclose(D[:, :, 7], np.real(after).T - x[1:], rtol=0, atol=1e-9)
+        assert_allclose(D[:, :, 7], np.real(after).T - x[1:], rtol=0, atol=1e-9)
 
 
 def test_on_a_linear_quadratic_problem_the_backward_pass_gives_the_riccati_gain() -> None:
@@ -116,7 +116,7 @@ def test_the_cost_that_is_told_is_that_of_the_motion() -> None:
     rig = RIG
     plan = ilqr(rig, HANGING, horizon=60, starts=0, iterations=5)
     mpc = planner(rig, horizon=60)
-    e = np.stack([_residuals(x, inside._nearest.py_func(tuple(x), mpc.problem)) for x in plan.x])
+    e = np.stack([_residuals(x, inside._near(tuple(x), mpc.problem)) for x in plan.x])
     over = np.maximum(np.abs(plan.x[:, 0]) - 2.25, 0)
     stages = (e[:-1] ** 2 * mpc.Q).sum() + 0.1 * (plan.u**2).sum() + 1e4 * (over**2).sum()
     assert_allclose(plan.about["cost"], stages + e[-1] @ LQR(rig, mpc.Q, 0.1).P @ e[-1], rtol=1e-9)
