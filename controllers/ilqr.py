@@ -41,6 +41,8 @@ _TURN = 2 * math.pi
 _COLD = 60  # iterations for each start of a first plan
 _COARSE = 1e-4  # relative gain below which one of several plans counts as converged
 _TRIALS = 8  # lengths of step tried in an iteration
+_CHEAPER = 0.95  # share of the cost of the plan in use below which another takes over
+_PATIENCE = 15  # samples for which a challenger is worked on
 _HORIZON, _HORIZON_UPRIGHT = 6.26, 2.5  # in units of sqrt(L / g)
 
 
@@ -163,9 +165,9 @@ class ILQRMPC:
     A sample shifts the plan, follows it from the measured state with its feedback gains (an extra sample at its end is
     the saturated LQR's), and lowers its cost by at most ``iterations`` iterations.  Where none does, the plan that was
     followed stands: its own gains answer for the deviation.  The first plan is the cheapest of several starts, because
-    hanging at rest the cost has no slope.  While the plan is still dear, a challenger from random forces is worked on
-    beside it in the same way, replaced after 15 samples, and takes over when it is 5 % cheaper; what makes a plan poor
-    (a model that is wrong, a push) seldom shows at the start.
+    hanging at rest the cost has no slope.  While the plan is still dear, two others are tried beside it and take over
+    when they are 5 % cheaper: the saturated regulator's motion, and a challenger from random forces that is worked on
+    in the same way and replaced after 15 samples.  What makes a plan poor, such as a push, may come late.
 
     Parameters
     ----------
@@ -185,7 +187,7 @@ class ILQRMPC:
     starts : int
         Random starts of the first plan, in mirrored pairs.
     explore : bool
-        Whether a challenger is worked on.
+        Whether a challenger from random forces is worked on.
     upright_only : bool
         Hold both links within a quarter turn of the target, by walls like the track's: for balancing, where more is a
         failure.  The default horizon is then shorter; challengers are not made.
@@ -368,7 +370,8 @@ class _Planner:
         """Give the motion under the saturated regulator."""
         near = np.array(_near(tuple(x0), problem))
         N = self.horizon
-        return self.followed(problem, x0, np.tile(near, (N + 1, 1)), np.zeros(N), np.tile(-self.tail, (N, 1)))
+        gains = np.tile(-self.tail, (N, 1))
+        return self.followed(problem, x0, np.tile(near, (N + 1, 1)), np.zeros(N), gains)._replace(K=gains)
 
     def straight(self, problem: _Problem, x0: Array) -> _Plan:
         """Give a straight line of states, which is no motion."""
@@ -435,7 +438,7 @@ class _Horizon:
         self._planner = planner
         self._iterations = iterations
         self._starts = starts
-        self._explore = explore and iterations > 0
+        self._explore = explore
         self._rng = rng
         self._plan: _Plan | None = None
         self._challenger: _Plan | None = None
@@ -452,7 +455,7 @@ class _Horizon:
         problem = self._planner.about(x) if np.isfinite(x).all() else self._planner.problem
         plan = self._plan = self._advanced(problem, x, self._plan)
         status = Step.CONVERGED if plan.converged else Step.IMPROVED if plan.accepted else Step.FELL_BACK
-        if self._explore and plan.cost > self._planner.calm and self._cheaper(problem, x, plan):
+        if self._iterations and plan.cost > self._planner.calm and self._cheaper(problem, x, plan):
             status = Step.SWITCHED
         return self._told(status, plan.iterations, self._plan.cost, self._plan.u[0])
 
@@ -485,8 +488,14 @@ class _Horizon:
         return planner.improved(problem, followed._replace(K=gains), self._iterations, 1e-6)
 
     def _cheaper(self, problem: _Problem, x: Array, plan: _Plan) -> bool:
-        """Work on the challenger for a sample; tell whether it took over."""
+        """Try the regulator, and work on the challenger for a sample; tell whether one took over."""
         if not np.isfinite(x).all():
+            return False
+        regulated = self._planner.regulated(problem, x)
+        if regulated.cost < _CHEAPER * plan.cost:  # a plan may well pass the target by
+            self._plan = self._planner.improved(problem, regulated, self._iterations, 1e-6)
+            return True
+        if not self._explore:
             return False
         if self._challenger is None:
             noise = self._planner.noise(self._rng)
@@ -496,10 +505,10 @@ class _Horizon:
             return False
         challenger = self._advanced(problem, x, self._challenger)
         self._age += 1
-        better = challenger.cost < 0.95 * plan.cost
+        better = challenger.cost < _CHEAPER * plan.cost
         if better:
             self._plan = challenger
-        self._challenger = None if better or self._age >= 15 or challenger.converged else challenger
+        self._challenger = None if better or self._age >= _PATIENCE or challenger.converged else challenger
         return better
 
 

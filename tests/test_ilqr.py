@@ -189,7 +189,8 @@ def test_an_unperturbed_swing_up_succeeds_within_the_force(start: str) -> None:
     assert np.isfinite(run.log["cost"]).all()
     assert run.log["status"][0] == inside.Step.PLANNED
     assert run.log["iterations"][1:].max() <= 2
-    assert run.log["status"][-1] == inside.Step.CONVERGED
+    assert inside.Step.FELL_BACK not in run.log["status"]
+    assert run.log["cost"][-1] < 1e-3 * run.log["cost"][0]
 
 
 def test_without_iterations_the_first_plan_is_followed_by_its_gains() -> None:
