@@ -177,6 +177,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "dpend/symbolic.py",
         "controllers/trajopt.py",
         "controllers/tvlqr.py",
+        "controllers/codegen.py",
         "controllers/nmpc.py",
         "controllers/switching.py",
     ),
