@@ -21,7 +21,7 @@ import casadi
 
 Plugin = Literal["auto", "fatrop", "ipopt"]
 
-_FLAGS = ("-O2", "-fPIC", "-shared", "-fno-math-errno", "-w")
+_FLAGS = ("-O1", "-fPIC", "-shared", "-fno-math-errno", "-w")
 _PATIENCE = 300.0  # s, after which a compiler is given up
 
 

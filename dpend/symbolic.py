@@ -45,10 +45,29 @@ def sample_function(rig: Rig) -> Any:
         Of the state (6) and the force on the cart (1).
     """
     start, u = casadi.SX.sym("x", 6), casadi.SX.sym("u")
-    x: Any = _split(start)
+    step = substep_function(rig)
+    x = start
     for _ in range(rig.substeps):
-        x = _rk4(x, (u, 0.0, 0.0), rig.params.coefficients(), rig.sample_time / rig.substeps)
-    return casadi.Function("sample", [start, u], [casadi.vertcat(*x)])
+        x = step(x, u)
+    return casadi.Function("sample", [start, u], [x])
+
+
+def substep_function(rig: Rig) -> Any:
+    r"""Give one of the equal Runge-Kutta steps that make a sample under a held force, as a CasADi function.
+
+    Parameters
+    ----------
+    rig : Rig
+        The plant and its clock; actuator and sensors are left out.
+
+    Returns
+    -------
+    casadi.Function
+        Of the state (6) and the force on the cart (1).
+    """
+    x, u = casadi.SX.sym("x", 6), casadi.SX.sym("u")
+    end = _rk4(_split(x), (u, 0.0, 0.0), rig.params.coefficients(), rig.sample_time / rig.substeps)
+    return casadi.Function("substep", [x, u], [casadi.vertcat(*end)])
 
 
 def _split(x: Any) -> tuple[Any, ...]:
