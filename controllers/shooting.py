@@ -167,7 +167,8 @@ def multiple_shooting(stage: Stage, horizon: int) -> Program:
         return casadi.vertcat(casadi.vec(casadi.vertcat(nexts - ends, path_value.map(N)(xs, ps))), path_last)
 
     g = constraints(sample.map(N)(xs, us))
-    grad_f = casadi.vertcat(casadi.vec(slope.map(N)(xs, us, ps)), terminal_slope(last, p_last))
+    # Dense, whatever a cost does not depend on: fatrop reads the gradient as it lies in memory.
+    grad_f = casadi.densify(casadi.vertcat(casadi.vec(slope.map(N)(xs, us, ps)), terminal_slope(last, p_last)))
 
     first_end, first_nonzeros = outset(xs[:, 0], us[:, 0], ps[:, 0])
     ends, nonzeros = inside.map(N - 1)(xs[:, 1:], us[:, 1:], ps[:, 1:])

@@ -31,43 +31,50 @@ def rates_function(params: Params) -> Any:
     return casadi.Function("rates", [x, f], [casadi.vertcat(*_rates(_split(x), f, params.coefficients()))])
 
 
-def sample_function(rig: Rig) -> Any:
+def sample_function(rig: Rig, *, free_step: bool = False) -> Any:
     r"""Give :math:`(x_k, u_k) \mapsto x_{k+1}`, one sample under a held force, as a CasADi function.
 
     Parameters
     ----------
     rig : Rig
         The plant and its clock; actuator and sensors are left out.
+    free_step : bool
+        Whether the length of the sample is a third argument rather than the rig's.
 
     Returns
     -------
     casadi.Function
-        Of the state (6) and the force on the cart (1).
+        Of the state (6) and the force on the cart (1), and with ``free_step`` of the sample time in s (1).
     """
-    start, u = casadi.SX.sym("x", 6), casadi.SX.sym("u")
-    step = substep_function(rig)
+    start, u, h = casadi.SX.sym("x", 6), casadi.SX.sym("u"), casadi.SX.sym("h")
+    time = [h] if free_step else []
+    step = substep_function(rig, free_step=free_step)
     x = start
     for _ in range(rig.substeps):
-        x = step(x, u)
-    return casadi.Function("sample", [start, u], [x])
+        x = step(x, u, *time)
+    return casadi.Function("sample", [start, u, *time], [x])
 
 
-def substep_function(rig: Rig) -> Any:
+def substep_function(rig: Rig, *, free_step: bool = False) -> Any:
     r"""Give one of the equal Runge-Kutta steps that make a sample under a held force, as a CasADi function.
 
     Parameters
     ----------
     rig : Rig
         The plant and its clock; actuator and sensors are left out.
+    free_step : bool
+        Whether the length of the sample is a third argument rather than the rig's.
 
     Returns
     -------
     casadi.Function
-        Of the state (6) and the force on the cart (1).
+        Of the state (6) and the force on the cart (1), and with ``free_step`` of the sample time in s (1).
     """
-    x, u = casadi.SX.sym("x", 6), casadi.SX.sym("u")
-    end = _rk4(_split(x), (u, 0.0, 0.0), rig.params.coefficients(), rig.sample_time / rig.substeps)
-    return casadi.Function("substep", [x, u], [casadi.vertcat(*end)])
+    x, u, h = casadi.SX.sym("x", 6), casadi.SX.sym("u"), casadi.SX.sym("h")
+    time = [h] if free_step else []
+    step = (h if free_step else rig.sample_time) / rig.substeps
+    end = _rk4(_split(x), (u, 0.0, 0.0), rig.params.coefficients(), step)
+    return casadi.Function("substep", [x, u, *time], [casadi.vertcat(*end)])
 
 
 def _split(x: Any) -> tuple[Any, ...]:
