@@ -1,6 +1,7 @@
 """Classical controllers for the inverted double pendulum on a cart."""
 
 from .constant import Constant, Zero
+from .data import shipped
 from .energy import EnergyPump, EnergySwingUp
 from .estimators import EKF, UKF, Predictor, WithEstimator
 from .ilqr import ILQRMPC, ilqr
@@ -9,12 +10,15 @@ from .sdre import SDRE
 from .smoothing import LowPass, RateLimit
 from .switching import Ahead, Catch, Ellipsoid, NearEnergy
 from .trajectory import Trajectory
+from .trajopt import NoTrajectory, faults, optimize
+from .tvlqr import TVLQR
 
 __all__ = [
     "EKF",
     "ILQRMPC",
     "LQR",
     "SDRE",
+    "TVLQR",
     "UKF",
     "Ahead",
     "BangBang",
@@ -26,10 +30,14 @@ __all__ = [
     "LowPass",
     "Margins",
     "NearEnergy",
+    "NoTrajectory",
     "Predictor",
     "RateLimit",
     "Trajectory",
     "WithEstimator",
     "Zero",
+    "faults",
     "ilqr",
+    "optimize",
+    "shipped",
 ]

@@ -178,6 +178,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "controllers/trajopt.py",
         "controllers/tvlqr.py",
         "controllers/codegen.py",
+        "controllers/shooting.py",
         "controllers/nmpc.py",
         "controllers/switching.py",
     ),

@@ -1,0 +1,103 @@
+"""How long trajectories take to find, by IPOPT alone and by fatrop on compiled C; and the minimum times.
+
+Run ``python -m benchmarks.trajopt``.  The problem is ``gustafsson2016`` from hanging to upright in 2.5 s, 125 samples,
+least effort, from a straight line; the solvers take turns, and the best of five turns counts, wall clock, one core.
+"Solve" is the solver alone, "all" a whole call of ``optimize``: building the program, solving, replaying the solution.
+Minimum times are found anew by IPOPT from the stored effort solutions.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import dpend
+from controllers import faults, optimize, shipped
+from controllers.codegen import find_compiler
+from controllers.trajopt import STARTS, Plugin, _guesses, _program, _solve
+
+REPETITIONS = 5
+RIG = dpend.rig("gustafsson2016")
+TARGET = np.zeros(6)
+
+
+def timed(work: Callable[[], Any]) -> tuple[float, Any]:
+    """Give the seconds that one call took, and what it gave."""
+    began = time.perf_counter()
+    result = work()
+    return time.perf_counter() - began, result
+
+
+def solve_times(solvers: dict[str, Plugin]) -> Table:
+    begin = STARTS["hanging"]
+    guess = next(_guesses(begin, TARGET, 125, RIG, None, 1, np.random.default_rng(0)))
+    force = float(np.max(RIG.force_limit))
+    first = {
+        name: timed(lambda s=solver: optimize(RIG, target=TARGET, solver=s))[0] for name, solver in solvers.items()
+    }
+    programs = {name: _program(RIG, 125, "effort", 0.1, force, solver) for name, solver in solvers.items()}
+    solves: dict[str, list[float]] = {name: [] for name in solvers}
+    wholes: dict[str, list[float]] = {name: [] for name in solvers}
+    iterations: dict[str, int] = {}
+    for _ in range(REPETITIONS):
+        for name, program in programs.items():
+            seconds, found = timed(
+                lambda p=program: _solve(
+                    p, RIG, "effort", begin, TARGET, guess, force, track_margin=0.2, force_margin=0.0
+                )
+            )
+            solves[name].append(seconds)
+            iterations[name] = found.trajectory.about["iterations"]
+            wholes[name].append(timed(lambda n=name: optimize(RIG, target=TARGET, solver=solvers[n]))[0])
+    table = Table(
+        "solver",
+        "iterations",
+        "solve, ms",
+        "all, ms",
+        "first call, s",
+        title=f"Best of {REPETITIONS} interleaved turns",
+    )
+    for name, program in programs.items():
+        table.add_row(
+            program.backend,
+            str(iterations[name]),
+            f"{1e3 * min(solves[name]):.0f}",
+            f"{1e3 * min(wholes[name]):.0f}",
+            f"{first[name]:.1f}",
+        )
+    return table
+
+
+def minimum_times() -> Table:
+    table = Table(
+        "start", "turns to", "minimum time, s", "iterations", "all, s", "faults", title="Minimum time, |u| <= 40 N"
+    )
+    for start in ("hanging", "side"):
+        stored = shipped(RIG, start)
+        if stored is None:
+            raise RuntimeError("The stored trajectories are missing; make them with python -m controllers.data.")
+        seconds, found = timed(lambda s=start, g=stored: optimize(RIG, s, objective="time", duration=2.0, guess=g))
+        turns = f"({found.target[1] / np.pi:.0f} pi, {found.target[2] / np.pi:.0f} pi)"
+        wrong = faults(found, track_margin=0.2) or "none"
+        table.add_row(start, turns, f"{found.duration:.4f}", str(found.about["iterations"]), f"{seconds:.2f}", wrong)
+    return table
+
+
+def main() -> None:
+    console = Console()
+    solvers: dict[str, Plugin] = {"ipopt": "ipopt"}
+    if find_compiler() is None:
+        console.print("There is no C compiler: fatrop is left out.")
+    else:
+        solvers["fatrop"] = "auto"
+    console.print(solve_times(solvers))
+    console.print(minimum_times())
+
+
+if __name__ == "__main__":
+    main()

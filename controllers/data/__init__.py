@@ -1,0 +1,60 @@
+"""Trajectories that come with the package; ``python -m controllers.data`` makes them anew."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+from dpend.rig import Rig, as_rig
+
+from ..trajectory import Trajectory
+
+FOLDER = Path(__file__).parent
+"""Where they lie, one file each: ``rig_start_target_objective.npz``."""
+
+
+def file_name(rig: str, start: str, target: str, objective: str) -> str:
+    """Give the name of the file of a trajectory for a preset; hanging and down-down are the same start."""
+    return f"{rig}_{'hanging' if start == 'down-down' else start}_{target}_{objective}.npz"
+
+
+def shipped(
+    rig: Rig | str,
+    start: str = "hanging",
+    target: str = "up-up",
+    objective: Literal["effort", "time"] = "effort",
+) -> Trajectory | None:
+    """Give the stored trajectory for exactly this plant, clock and limits; None if there is none.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        The rig; what its actuator and sensors do besides the limits does not matter.
+    start : str
+        "hanging", "side", or the name of an equilibrium.
+    target : str
+        The name of an equilibrium.
+    objective : {"effort", "time"}
+        What was minimised.  A trajectory in minimum time has a sample time of its own, whatever the rig's.
+
+    Returns
+    -------
+    Trajectory or None
+    """
+    rig = as_rig(rig)
+    if rig.n is not None:
+        return None
+    for path in sorted(FOLDER.glob(file_name("*", start, target, objective))):
+        trajectory = _load(path)
+        own = trajectory.rig
+        same_clock = objective == "time" or own.sample_time == rig.sample_time
+        same_limits = (own.force_limit, own.track_limit) == (rig.force_limit, rig.track_limit)
+        if own.params == rig.params and own.substeps == rig.substeps and same_clock and same_limits:
+            return trajectory
+    return None
+
+
+@cache
+def _load(path: Path) -> Trajectory:
+    return Trajectory.load(path)
