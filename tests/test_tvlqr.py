@@ -77,7 +77,7 @@ def test_the_sensitivities_are_those_of_the_complex_step() -> None:
         assert_allclose(B[k], exact[:, 6], rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("about", EQUILIBRIA)
+@pytest.mark.parametrize("about", tuple(EQUILIBRIA))
 def test_along_a_trajectory_that_rests_the_gain_is_the_regulators(about: str) -> None:
     trajectory = resting(RIG, about, 40)
     controller, regulator = TVLQR(RIG, trajectory), LQR(RIG, (10, 100, 100, 1, 10, 10), 0.02, about=about)
@@ -128,16 +128,22 @@ def test_undisturbed_it_plays_the_trajectory_and_then_regulates() -> None:
         assert_array_equal(run.log["sample"], np.minimum(np.arange(225), 125))
 
 
-def test_by_nearest_a_run_may_begin_anywhere_along_the_trajectory_and_at_its_end_is_regulated() -> None:
+def test_by_nearest_a_run_may_begin_anywhere_along_the_trajectory_and_the_end_is_part_of_it() -> None:
     trajectory = stored()
     controller = TVLQR(RIG, trajectory)
     begins = np.vstack([trajectory.x[[0, 30, 60, 110]], trajectory.target])
     runs = dpend.simulate_many(RIG, controller, begins, task=SwingUp(steps=200))
     assert_array_equal(runs.log["sample"][:, 0], [0, 30, 60, 110, 125])
     assert runs.success.all()
-    near = np.array([[0.1, 0.05, -0.05, 0.1, 0, 0]])
-    law, regulator = (each.start(1, RNG) for each in (controller, LQR(RIG, (10, 100, 100, 1, 10, 10), 0.02)))
-    assert_allclose(law(0.0, near), regulator(0.0, near))
+
+
+def test_after_the_trajectory_it_is_the_regulator_about_its_end() -> None:
+    y = stored().target + 0.1 * RNG.standard_normal((3, 6))
+    law = TVLQR(RIG, index="time").start(3, RNG)
+    regulator = LQR(RIG, (10, 100, 100, 1, 10, 10), 0.02).start(3, RNG)
+    for t in (2.5, 2.52, 10.0):
+        assert_allclose(law(t, y), regulator(t, y), atol=1e-9)
+    assert np.abs(law(2.48, y) - regulator(2.48, y)).min() > 1e-3
 
 
 def test_a_run_waits_at_a_sample_no_longer_than_five() -> None:
@@ -173,7 +179,7 @@ def test_it_brings_up_plants_whose_masses_and_lengths_are_five_percent_off(index
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("start", "target"), itertools.permutations(EQUILIBRIA, 2))
+@pytest.mark.parametrize(("start", "target"), list(itertools.permutations(EQUILIBRIA, 2)))
 def test_it_moves_between_any_two_equilibria(start: str, target: str) -> None:
     task = SwingUp(start=start, target=target, spread=0.1, steps=275)
     assert success(TVLQR(RIG, stored(start, target)), task, 50) >= 49
