@@ -195,6 +195,9 @@ def optimize(
                 f"The {name} has its cart at {state[0]:g} m; a trajectory that keeps its margin stays within "
                 f"{rig.track_limit - track_margin:g} m."
             )
+    if guess is not None:  # by so many turns that it begins where this one does
+        turns = (guess.x[0] - begin - deviation(guess.x[0], begin)) * [0, 1, 1, 0, 0, 0]
+        guess = replace(guess, x=guess.x - turns, target=guess.target - turns)
     N = round(duration / rig.sample_time)
     unit = float(rig.force_limit)
     if not math.isfinite(unit):

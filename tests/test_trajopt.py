@@ -116,6 +116,16 @@ def test_the_same_seed_gives_the_same_guesses_and_all_begin_and_end_where_the_tr
         assert_allclose(mine.x[[0, -1], :3], [begin[:3], end[:3]], atol=1e-12)
 
 
+def test_a_guess_may_begin_whole_turns_away() -> None:
+    guess = swing_up()
+    turned = replace(
+        guess, x=guess.x + 2 * np.pi * np.array([0, 1, -1, 0, 0, 0]), target=2 * np.pi * np.eye(6)[1] - 2 * np.pi * np.eye(6)[2]
+    )
+    found = optimize(RIG, guess=turned)
+    assert_allclose(found.x, guess.x, atol=1e-6)
+    assert found.about["iterations"] < guess.about["iterations"]
+
+
 # -------------------------------------------------------------------------------------------------------------- solvers
 
 

@@ -8,17 +8,15 @@ other local minima.
 from __future__ import annotations
 
 import argparse
-import itertools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich.console import Console
 
-import dpend
-
 from ..trajectory import Trajectory
-from ..trajopt import Objective, optimize
+from ..trajopt import NoTrajectory, Objective, optimize
 from . import FOLDER, file_name
 
 
@@ -31,8 +29,10 @@ class Recipe(NamedTuple):
         The problem.
     options : dict
         The rest of its arguments.
-    after : str or None
-        Objective whose solution of the same problem is the guess, if one is.
+    guess : str or None
+        File of the trajectory from which guesses are made, one that is made before.
+    backwards : bool
+        Whether that is played backwards: without friction the way back is a way too.
     """
 
     rig: str
@@ -40,7 +40,8 @@ class Recipe(NamedTuple):
     target: str
     objective: Objective
     options: dict[str, Any]
-    after: Objective | None = None
+    guess: str | None = None
+    backwards: bool = False
 
     @property
     def file(self) -> str:
@@ -48,21 +49,40 @@ class Recipe(NamedTuple):
         return file_name(self.rig, self.start, self.target, self.objective)
 
 
+def played_backwards(trajectory: Trajectory) -> Trajectory:
+    """Give the motion from the target back to the start, were there no friction: rates change their signs."""
+    x = trajectory.x[::-1] * np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+    return replace(trajectory, x=x, u=trajectory.u[::-1], target=trajectory.x[0])
+
+
 _MANY: dict[str, Any] = {"starts": 8, "seed": 0, "solver": "auto"}
+_MORE: dict[str, Any] = _MANY | {"starts": 32}  # where few guesses converge
 # Fatrop converges in minimum time from few guesses, IPOPT from most.
 _FROM_EFFORT: dict[str, Any] = {"duration": 2.0, "starts": 4, "seed": 0, "solver": "ipopt"}
 _REPORT = "gustafsson2016"
 
+
+def _transfer(start: str, target: str, *, back: bool = False, options: dict[str, Any] = _MANY) -> Recipe:
+    guess = file_name(_REPORT, target, start, "effort") if back else None
+    return Recipe(_REPORT, start, target, "effort", {"duration": 2.5} | options, guess, back)
+
+
 RECIPES = (
     Recipe(_REPORT, "hanging", "up-up", "effort", {"duration": 2.5} | _MANY),
     Recipe(_REPORT, "side", "up-up", "effort", {"duration": 2.5} | _MANY),
-    Recipe(_REPORT, "hanging", "up-up", "time", _FROM_EFFORT, after="effort"),
-    Recipe(_REPORT, "side", "up-up", "time", _FROM_EFFORT, after="effort"),
-    *(
-        Recipe(_REPORT, start, target, "effort", {"duration": 2.5} | _MANY)
-        for start, target in itertools.permutations(dpend.EQUILIBRIA, 2)
-        if (start, target) != ("down-down", "up-up")  # that is from hanging, above
-    ),
+    Recipe(_REPORT, "hanging", "up-up", "time", _FROM_EFFORT, f"{_REPORT}_hanging_up-up_effort.npz"),
+    Recipe(_REPORT, "side", "up-up", "time", _FROM_EFFORT, f"{_REPORT}_side_up-up_effort.npz"),
+    _transfer("up-up", "down-down", back=True),
+    _transfer("up-up", "up-down"),
+    _transfer("up-down", "up-up", back=True),
+    _transfer("up-up", "down-up"),
+    _transfer("down-up", "up-up", back=True),
+    _transfer("up-down", "down-up"),
+    _transfer("down-up", "up-down", back=True),
+    _transfer("up-down", "down-down", options=_MORE),
+    _transfer("down-down", "up-down", back=True),
+    _transfer("down-up", "down-down"),
+    _transfer("down-down", "down-up", back=True),
     Recipe("gustafsson2016_as_coded", "hanging", "up-up", "effort", {"duration": 2.5} | _MANY),
     Recipe("bogdanov2004", "hanging", "up-up", "effort", {"duration": 2.0} | _MANY),
     Recipe("pilco2011", "hanging", "up-up", "effort", {"duration": 2.0} | _MANY),
@@ -83,15 +103,19 @@ def main() -> None:
     for recipe in RECIPES:
         if options.words and not any(word in recipe.file for word in options.words):
             continue
-        guess = None
-        if recipe.after is not None:
-            guess = Trajectory.load(options.out / recipe._replace(objective=recipe.after).file)
-        found = optimize(
-            recipe.rig, recipe.start, recipe.target, objective=recipe.objective, guess=guess, **recipe.options
-        )
+        guess = None if recipe.guess is None else Trajectory.load(options.out / recipe.guess)
+        if guess is not None and recipe.backwards:
+            guess = played_backwards(guess)
+        try:
+            found = optimize(
+                recipe.rig, recipe.start, recipe.target, objective=recipe.objective, guess=guess, **recipe.options
+            )
+        except NoTrajectory as error:
+            console.print(f"{recipe.file}: {error}", soft_wrap=True)
+            continue
         about = dict(found.about) | {"preset": recipe.rig}
-        if recipe.after is not None:
-            about["guess"] = recipe._replace(objective=recipe.after).file
+        if recipe.guess is not None:
+            about["guess"] = recipe.guess + (", backwards" if recipe.backwards else "")
         found = replace(found, about=about)
         found.save(options.out / recipe.file)
         console.print(
