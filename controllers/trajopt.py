@@ -171,8 +171,8 @@ def optimize(
     seed : int
         Of what is random.
     solver : {"ipopt", "auto", "fatrop"}
-        ``"auto"`` is fatrop on compiled C where there is a compiler, else IPOPT.  It takes several times less for each
-        guess, but half a minute to compile for every plant and length (kept on disk): right for many starts.
+        ``"auto"`` is fatrop on compiled C where there is a compiler and the force has a limit, else IPOPT.  It takes
+        several times less for each guess, but some seconds to compile for every plant and length (kept on disk).
 
     Returns
     -------
@@ -201,6 +201,8 @@ def optimize(
     N = round(duration / rig.sample_time)
     unit = float(rig.force_limit)
     if not math.isfinite(unit):
+        if solver == "auto":  # without a limit fatrop does not return from some guesses
+            solver = "ipopt"
         p = rig.params
         unit = float(p.gravity * (p.cart_mass + p.mass1 + p.mass2))
     made = _program(rig, N, objective, smoothing, unit, solver)
