@@ -56,7 +56,7 @@ TOLERANCE = 1e-6
 _JUMPS = 1e-3  # s, what a jump of the force by its unit costs in minimum time
 _ITERATIONS = 120
 _QUIET = {"print_time": False, "show_eval_warnings": False}
-_IPOPT = _QUIET | {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9, "max_iter": _ITERATIONS}}
+_IPOPT = _QUIET | {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9, "max_iter": 300}}
 
 
 class NoTrajectory(RuntimeError):

@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Console
 
+import dpend
+
 from ..trajectory import Trajectory
 from ..trajopt import NoTrajectory, Objective, optimize
 from . import FOLDER, file_name
@@ -33,6 +35,8 @@ class Recipe(NamedTuple):
         File of the trajectory from which guesses are made, one that is made before.
     backwards : bool
         Whether that is played backwards: without friction the way back is a way too.
+    easing : tuple of float
+        Multiples of the force limit with which the problem is solved before, each the guess of the next.
     """
 
     rig: str
@@ -42,6 +46,7 @@ class Recipe(NamedTuple):
     options: dict[str, Any]
     guess: str | None = None
     backwards: bool = False
+    easing: tuple[float, ...] = ()
 
     @property
     def file(self) -> str:
@@ -56,6 +61,7 @@ def played_backwards(trajectory: Trajectory) -> Trajectory:
 
 
 _MANY: dict[str, Any] = {"starts": 8, "seed": 0, "solver": "auto"}
+_ONE: dict[str, Any] = {"starts": 1, "seed": 0, "solver": "ipopt"}
 _MORE: dict[str, Any] = _MANY | {"starts": 32}  # where few guesses converge
 # Fatrop converges in minimum time from few guesses, IPOPT from most.
 _FROM_EFFORT: dict[str, Any] = {"duration": 2.0, "starts": 4, "seed": 0, "solver": "ipopt"}
@@ -86,9 +92,9 @@ RECIPES = (
     Recipe("gustafsson2016_as_coded", "hanging", "up-up", "effort", {"duration": 2.5} | _MANY),
     Recipe("bogdanov2004", "hanging", "up-up", "effort", {"duration": 2.0} | _MANY),
     Recipe("pilco2011", "hanging", "up-up", "effort", {"duration": 2.0} | _MANY),
-    Recipe("dompc_dip", "hanging", "up-up", "effort", {"duration": 3.0} | _MANY),
+    Recipe("dompc_dip", "hanging", "up-up", "effort", {"duration": 4.0, "starts": 4, "seed": 0, "solver": "ipopt"}),
     Recipe("gymnasium_idp", "hanging", "up-up", "effort", {"duration": 2.5} | _MANY),
-    Recipe("dm_control_two_poles", "hanging", "up-up", "effort", {"duration": 3.0} | _MANY),
+    Recipe("dm_control_two_poles", "hanging", "up-up", "effort", _ONE | {"duration": 4.5}, easing=(2.0, 1.4)),
 )
 
 
@@ -106,9 +112,13 @@ def main() -> None:
         guess = None if recipe.guess is None else Trajectory.load(options.out / recipe.guess)
         if guess is not None and recipe.backwards:
             guess = played_backwards(guess)
+        rig = dpend.rig(recipe.rig)
         try:
+            for factor in recipe.easing:
+                eased = rig.replace(force_limit=factor * rig.force_limit)
+                guess = optimize(eased, recipe.start, recipe.target, duration=recipe.options["duration"], guess=guess)
             found = optimize(
-                recipe.rig, recipe.start, recipe.target, objective=recipe.objective, guess=guess, **recipe.options
+                rig, recipe.start, recipe.target, objective=recipe.objective, guess=guess, **recipe.options
             )
         except NoTrajectory as error:
             console.print(f"{recipe.file}: {error}", soft_wrap=True)
@@ -116,6 +126,8 @@ def main() -> None:
         about = dict(found.about) | {"preset": recipe.rig}
         if recipe.guess is not None:
             about["guess"] = recipe.guess + (", backwards" if recipe.backwards else "")
+        if recipe.easing:
+            about["guess"] = f"solutions with the force limit times {', '.join(map(str, recipe.easing))}"
         found = replace(found, about=about)
         found.save(options.out / recipe.file)
         console.print(
