@@ -1,4 +1,4 @@
-r"""Optimal control by direct multiple shooting: the nonlinear program of a sampled plant, and its derivatives by stages.
+r"""Optimal control by direct multiple shooting: the nonlinear program of a sampled plant, derived stage by stage.
 
 .. math::
     \min_{x, u} \sum_{k<N} \ell(x_k, u_k, p_k) + V(x_N, p_N)
@@ -247,7 +247,8 @@ def _sample(step: Any, steps: int, nx: int, nu: int, second_order: bool) -> tupl
     r"""Give a sample of several steps, with its Jacobian, and with its second derivatives along a multiplier.
 
     With :math:`T_i` the derivative of :math:`(x_i, u)` by :math:`(x_0, u)` and :math:`\lambda_i` the multiplier pulled
-    back from the end, the second derivative of :math:`\lambda^\top F` is :math:`\sum_i T_i^\top H_i(\lambda_{i+1})\,T_i`.
+    back from the end, the second derivative of :math:`\lambda^\top F` is
+    :math:`\sum_i T_i^\top H_i(\lambda_{i+1})\,T_i`.
     """
     x, u, lam = casadi.SX.sym("x", nx), casadi.SX.sym("u", nu), casadi.SX.sym("lam", nx)
     z = casadi.vertcat(x, u)

@@ -119,7 +119,9 @@ def test_the_same_seed_gives_the_same_guesses_and_all_begin_and_end_where_the_tr
 def test_a_guess_may_begin_whole_turns_away() -> None:
     guess = swing_up()
     turned = replace(
-        guess, x=guess.x + 2 * np.pi * np.array([0, 1, -1, 0, 0, 0]), target=2 * np.pi * np.eye(6)[1] - 2 * np.pi * np.eye(6)[2]
+        guess,
+        x=guess.x + 2 * np.pi * np.array([0, 1, -1, 0, 0, 0]),
+        target=2 * np.pi * np.eye(6)[1] - 2 * np.pi * np.eye(6)[2],
     )
     found = optimize(RIG, guess=turned)
     assert_allclose(found.x, guess.x, atol=1e-6)
@@ -197,7 +199,7 @@ def test_a_solution_that_does_not_hold_is_found_out() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: optimize(RIG, objective="energy"), 'objective must be "effort" or "time"; got \'energy\'.'),
+        (lambda: optimize(RIG, objective="energy"), 'objective must be "effort" or "time"; got \'energy\'.'),  # type: ignore[arg-type]
         (
             lambda: optimize(RIG, duration=2.51),
             "duration must be a whole number of samples of 0.02 s, at least 8; got 2.51 s.",
@@ -229,7 +231,7 @@ def test_a_solution_that_does_not_hold_is_found_out() -> None:
             lambda: optimize(RIG, target=[3.0, 0, 0, 0, 0, 0]),
             "The target has its cart at 3 m; a trajectory that keeps its margin stays within 2.2 m.",
         ),
-        (lambda: optimize(RIG, solver="snopt"), 'solver must be "auto", "fatrop" or "ipopt"; got \'snopt\'.'),
+        (lambda: optimize(RIG, solver="snopt"), 'solver must be "auto", "fatrop" or "ipopt"; got \'snopt\'.'),  # type: ignore[arg-type]
         (
             lambda: optimize(RIG.replace(mass1=np.array([0.5, 0.6]))),
             "A trajectory is planned for one plant; got a rig of 2 rows.",
