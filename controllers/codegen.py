@@ -6,7 +6,6 @@ for a compiler when the package is installed: it is looked for when a solver is 
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 import shutil
@@ -83,8 +82,9 @@ def nlp_solver(
     compiled : bool
         Whether to look for a compiler at all.
     derivatives : sequence of casadi.Function, optional
-        The problem's functions for fatrop, named as its solver asks for them, where they are known in a better form;
-        left out, CasADi derives them.
+        The problem's functions, named as ``casadi.nlpsol`` asks for them with fatrop (``nlp``, ``nlp_f``, ``nlp_g``,
+        ``nlp_grad``, ``nlp_grad_f``, ``nlp_jac_g``, ``nlp_hess_l``), where they are known in a better form; left out,
+        CasADi derives them.
 
     Returns
     -------
@@ -98,57 +98,67 @@ def nlp_solver(
     if solver not in ("auto", "fatrop", "ipopt"):
         raise ValueError(f'solver must be "auto", "fatrop" or "ipopt"; got {solver!r}.')
     options = {"fatrop": dict(fatrop or {}), "ipopt": dict(ipopt or {})}
+    ours = {function.name(): function for function in derivatives}
+    for_ipopt = ours | _for_ipopt(ours) if ours else {}
     wanted = "fatrop" if solver == "auto" else solver
     compiler = find_compiler() if compiled else None
     if compiler is not None:
-        with tempfile.TemporaryDirectory() as folder:
-            source = Path(folder) / "nlp.c"
-            if not (derivatives and wanted == "fatrop"):
-                virtual = casadi.nlpsol("solver", wanted, dict(nlp), options[wanted])
-                derivatives = [virtual.oracle(), *map(virtual.get_function, virtual.get_function())]
-            _generate(source, derivatives)
-            library = _compile(source, compiler)
+        functions = list((ours if wanted == "fatrop" else for_ipopt).values())
+        if not functions:
+            virtual = casadi.nlpsol("solver", wanted, dict(nlp), options[wanted])
+            functions = [virtual.oracle(), *map(virtual.get_function, virtual.get_function())]
+        library = _compiled(functions, compiler)
         if library is not None:
             solve = casadi.nlpsol("solver", wanted, str(library), options[wanted])
             return NLPSolver(solve, wanted, f"{_TITLES[wanted]}, compiled C")
     wanted = "ipopt" if solver == "auto" else solver
+    if ours and wanted == "ipopt":
+        options["ipopt"] |= {"jac_g": ours["nlp_jac_g"], "hess_lag": for_ipopt["nlp_hess_l"]}
     solve = casadi.nlpsol("solver", wanted, dict(nlp), options[wanted])
-    why = "" if not compiled else " (no C compiler)" if compiler is None else f" ({Path(compiler).name} failed)"
-    return NLPSolver(solve, wanted, f"{_TITLES[wanted]}, CasADi's virtual machine{why}")
+    why = "" if not compiled else ", no C compiler" if compiler is None else f", {Path(compiler).name} failed"
+    return NLPSolver(solve, wanted, f"{_TITLES[wanted]}, interpreted by CasADi{why}")
 
 
 _TITLES = {"fatrop": "fatrop", "ipopt": "IPOPT"}
 
 
-def _generate(source: Path, functions: Sequence[Any]) -> None:
-    generator = casadi.CodeGenerator(source.name)
-    for function in functions:
-        generator.add(function)
-    generator.generate(f"{source.parent}{os.sep}")
+def _for_ipopt(ours: Mapping[str, Any]) -> dict[str, Any]:
+    """Give the functions that IPOPT wants otherwise than fatrop: the gradient with f, the Hessian's upper triangle."""
+    hessian = ours["nlp_hess_l"]
+    x, p, lam_f, lam_g = (casadi.MX.sym(hessian.name_in(i), hessian.sparsity_in(i)) for i in range(4))
+    upper = casadi.triu(hessian(x, p, lam_f, lam_g)[1])
+    ins, outs = ["x", "p"], ["f", "grad_f_x"]
+    return {
+        "nlp_grad_f": casadi.Function("nlp_grad_f", [x, p], [ours["nlp_f"](x, p), ours["nlp_grad_f"](x, p)], ins, outs),
+        "nlp_hess_l": casadi.Function(
+            "nlp_hess_l", [x, p, lam_f, lam_g], [upper], [*ins, "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+        ),
+    }
 
 
-def _compile(source: Path, compiler: str) -> Path | None:
-    """Give the shared library of a C source, from the cache if it is there; None if it cannot be made.
+def _compiled(functions: Sequence[Any], compiler: str) -> Path | None:
+    """Give the shared library of some functions, from the cache if it is there; None if it cannot be made.
 
     Its name is a hash of all that it depends on, and it is put in its place in one move, so that processes that make
     the same one at once do not see each other's halves.
     """
-    stamp = (compiler, str(os.stat(compiler).st_mtime_ns), *_FLAGS, casadi.CasadiMeta.version(), sys.platform)
-    digest = hashlib.sha256("\0".join(stamp).encode() + source.read_bytes()).hexdigest()[:32]
+    generator = casadi.CodeGenerator("nlp.c")
+    for function in functions:
+        generator.add(function)
+    code = generator.dump()
+    stamp = (compiler, str(os.stat(compiler).st_mtime_ns), *_FLAGS, casadi.CasadiMeta.version(), sys.platform, code)
+    digest = hashlib.sha256("\0".join(stamp).encode()).hexdigest()[:32]
     try:
         folder = cache_folder() / "c"
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         library = folder / f"{digest}.so"
         if not library.exists():
-            handle, made = tempfile.mkstemp(dir=folder, suffix=".part")
-            os.close(handle)
-            try:
-                command = [compiler, *_FLAGS, "-o", made, str(source), "-lm"]
+            with tempfile.TemporaryDirectory(dir=folder) as work:
+                source, made = Path(work) / "nlp.c", Path(work) / "nlp.so"
+                source.write_text(code)
+                command = [compiler, *_FLAGS, "-o", str(made), str(source), "-lm"]
                 subprocess.run(command, check=True, capture_output=True, timeout=_PATIENCE)
-                os.replace(made, library)
-            finally:
-                with contextlib.suppress(FileNotFoundError):
-                    os.unlink(made)
+                made.replace(library)
     except (OSError, subprocess.SubprocessError):
         return None
     return library

@@ -12,6 +12,7 @@ from .rig import Rig
 
 _rates = equations.make_rates(casadi.sin, casadi.cos)
 _rk4 = equations.make_rk4(_rates)
+_energies = equations.make_energies(casadi.cos)
 
 
 def rates_function(params: Params) -> Any:
@@ -75,6 +76,24 @@ def substep_function(rig: Rig, *, free_step: bool = False) -> Any:
     step = (h if free_step else rig.sample_time) / rig.substeps
     end = _rk4(_split(x), (u, 0.0, 0.0), rig.params.coefficients(), step)
     return casadi.Function("substep", [x, u, *time], [casadi.vertcat(*end)])
+
+
+def energy_function(params: Params) -> Any:
+    r"""Give :math:`x \mapsto T + V`, the energy in J, as a CasADi function.
+
+    Parameters
+    ----------
+    params : Params
+        The plant; one, not a batch.
+
+    Returns
+    -------
+    casadi.Function
+        Of the state (6).
+    """
+    x = casadi.SX.sym("x", 6)
+    kinetic, potential = _energies(_split(x), params.coefficients())
+    return casadi.Function("energy", [x], [kinetic + potential])
 
 
 def _split(x: Any) -> tuple[Any, ...]:

@@ -1,0 +1,461 @@
+r"""Nonlinear model predictive control with hard limits: each sample an optimal control problem is solved, in CasADi.
+
+.. math::
+    \min_{x, u} \sum_{k<N} \ell(x_k, u_k) + \lVert e(x_N) \rVert_P^2 \quad\text{with}\quad
+    x_{k+1} = F(x_k, u_k),\; |u_k| \le u_\text{max},\; |p_k| \le p_\text{max} - m,\; x_0 \text{ measured}
+
+where :math:`F` is one sample of the plant, :math:`e` the residuals of :mod:`controllers.residuals` and :math:`P` the
+Riccati solution of the LQR about the target, so that close to it and off the limits the law is that LQR.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import numbers
+from collections.abc import Callable, Iterator
+from enum import IntEnum
+from functools import lru_cache
+from time import perf_counter
+from typing import Any, Literal, NamedTuple
+
+import casadi
+import control
+import numpy as np
+import numpy.typing as npt
+
+from dpend.controller import Act
+from dpend.linear import discretize, linearize
+from dpend.params import Array
+from dpend.rig import Rig, as_rig
+from dpend.state import as_equilibrium, deviation
+from dpend.symbolic import energy_function, sample_function, substep_function
+
+from .codegen import NLPSolver, Plugin, find_compiler, nlp_solver
+from .lqr import LQR
+from .residuals import make_residuals
+from .shooting import Program, Stage, multiple_shooting
+
+_TURN = 2 * math.pi
+_residuals = make_residuals(casadi.sin)
+
+# Fatrop does not scale a cost; this is about what the horizon's cost then is with both links half a turn away.
+_FAR_COST = 300.0
+_TOLERANCE = 1e-4
+_GAP = 1e-3  # largest defect of a plan, in any state's unit, that is still followed
+_COLD_ITERATIONS = 100
+_WARM_BARRIER, _COLD_BARRIER = 1e-3, 1e-1
+
+Plan = tuple[Array, Array]
+"""States ``(N + 1, nx)`` and forces ``(N, 1)``."""
+
+
+class PlanStatus(IntEnum):
+    """What became of the plan of one step."""
+
+    SOLVED = 0
+    """The solver converged."""
+    ACCEPTED = 1
+    """The solver stopped early, but its plan keeps to the plant and the limits, so it is followed."""
+    SHIFTED = 2
+    """The solver failed: the plan of the step before goes on."""
+
+
+class NMPC:
+    r"""Law :math:`u = u_0^*(x)`: the first force of the best plan over the next :math:`N` samples, within hard limits.
+
+    The stage cost is :math:`\lVert e(x) - e^* \rVert_Q^2 + R u^2` for ``"quadratic"`` and
+    :math:`q_p e_p^2 + q_v \dot p^2 + w\,(E(x) - E^*)^2 / E_\text{ref}^2 + R u^2` for ``"energy"``, where :math:`E` is
+    the energy of the whole plant, :math:`E_\text{ref}` what separates the target from hanging, and :math:`q_p, q_v` the
+    cart's entries of Q; to either may be added :math:`S (u_k - u_{k-1})^2`.  The final cost is the LQR's.  Each plan
+    starts from the one before, moved on by a sample; the first one of a run is the best of several guesses.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        What the planner believes: plant, sample time and limits.  Actuator and sensors do not enter; where they matter,
+        put an estimator before it that tells the state at which the next force acts.
+    target : str or array_like (6,)
+        The equilibrium to reach, by name or as a state.
+    cost : {"quadratic", "energy"}
+        The stage cost.
+    horizon : float, optional
+        Seconds planned ahead; left out, 1.5 s for the quadratic cost and 0.8 s for the energy, times the factor by
+        which the rig's links swing more slowly than those of ``gustafsson2016`` and its actuator is weaker.
+    Q : array_like, optional
+        State weights, a diagonal ``(6,)`` or a matrix ``(6, 6)``; left out, (10, 50, 50, 1, 1, 1).
+    R : float
+        Weight of the force.
+    rate_weight : float
+        :math:`S`, weight of the change of force from sample to sample; the final cost is then that of the LQR with the
+        same weight.
+    energy_weight : float
+        :math:`w`; only with the energy cost.
+    setpoint : float or callable
+        Where the cart is to be, m, beside the target's own position; a function of time in s is looked ahead over the
+        horizon.
+    margin : float
+        :math:`m`, by which the plan stays off the track's end, m.
+    max_iterations : int
+        Iterations of the solver in one step, which bounds its time.
+    solver : {"auto", "fatrop", "ipopt"}
+        ``"auto"`` takes fatrop with generated C where a compiler is found, else IPOPT in CasADi's own machine, ten to
+        twenty times slower; :attr:`backend` says which.
+
+    Attributes
+    ----------
+    lqr : LQR
+        The regulator of the same weights, whose Riccati solution ends the plan.
+    samples : int
+        :math:`N`.
+
+    Raises
+    ------
+    ValueError
+        If the rig describes several plants, a weight, the horizon, the margin or another number is out of its range,
+        or there is no such target, cost or solver.
+
+    Notes
+    -----
+    A run records ``status`` (:class:`PlanStatus`), ``iterations`` and ``solve_time`` (s) of each step; those of the
+    first step are the sums over its guesses.  The plan's Hessian is Gauss and Newton's, so it is never indefinite.
+
+    The solver is built when a run first needs it, once a process for equal settings; compiled code is kept in the
+    user's cache folder.  Source: J. Rawlings, D. Mayne and M. Diehl, *Model Predictive Control*, 2017, chapter 8;
+    L. Vanroye et al., *FATROP*, 2023.
+    """
+
+    batched = False
+
+    def __init__(
+        self,
+        rig: Rig | str,
+        *,
+        target: str | npt.ArrayLike = "up-up",
+        cost: Literal["quadratic", "energy"] = "quadratic",
+        horizon: float | None = None,
+        Q: npt.ArrayLike | None = None,
+        R: float = 0.1,
+        rate_weight: float = 0.0,
+        energy_weight: float = 400.0,
+        setpoint: float | Callable[[float], float] = 0.0,
+        margin: float = 0.02,
+        max_iterations: int = 20,
+        solver: Plugin = "auto",
+    ) -> None:
+        rig = as_rig(rig)
+        if rig.n is not None:
+            raise ValueError(f"NMPC plans for one plant; got a rig of {rig.n} rows.")
+        if cost not in ("quadratic", "energy"):
+            raise ValueError(f'cost must be "quadratic" or "energy"; got {cost!r}.')
+        if solver not in ("auto", "fatrop", "ipopt"):
+            raise ValueError(f'solver must be "auto", "fatrop" or "ipopt"; got {solver!r}.')
+        self.lqr = LQR(rig, (10, 50, 50, 1, 1, 1) if Q is None else Q, R, about=as_equilibrium(target))
+        self.rig = rig
+        self.cost = cost
+        self.solver: Plugin = solver
+        self.rate_weight = _checked("rate_weight", rate_weight, 0.0, math.inf)
+        self.energy_weight = _checked("energy_weight", energy_weight, 0.0, math.inf)
+        self.margin = _checked("margin", margin, 0.0, float(rig.track_limit))
+        if isinstance(max_iterations, bool) or not isinstance(max_iterations, int) or max_iterations < 1:
+            raise ValueError(f"max_iterations must be a whole number, at least 1; got {max_iterations!r}.")
+        self.max_iterations = max_iterations
+        if not callable(setpoint):
+            reach = float(rig.track_limit) - self.margin
+            setpoint = _checked("setpoint", setpoint, -reach, reach)
+        self.setpoint = setpoint
+        if horizon is None:
+            horizon = _pace(rig) * (1.5 if cost == "quadratic" else 0.8)
+        self.samples = round(_checked("horizon", horizon, 2 * rig.sample_time, 1e3) / rig.sample_time)
+
+    @property
+    def name(self) -> str:
+        """What tables and figures call it."""
+        return "NMPC" if self.cost == "quadratic" else "energy NMPC"
+
+    @property
+    def backend(self) -> str:
+        """The solver, and what evaluates the plant for it: generated C or CasADi's own machine; builds it if need be."""
+        return _problem(self._key()).warm.backend
+
+    def __repr__(self) -> str:
+        way = "generated C" if find_compiler() else "interpreted, no C compiler"
+        return f"<{self.name}, {self.samples} samples of {self.rig.sample_time:g} s, solver {self.solver}, {way}>"
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Give the law for one run.
+
+        Raises
+        ------
+        ValueError
+            If more than one run is asked for.
+        """
+        if n != 1:
+            raise ValueError(f"NMPC treats one run at a time; got n = {n}.")
+        return _Planner(self, _problem(self._key()))
+
+    def _key(self) -> str:
+        """Name what the solver depends on; limits and set-point are handed to it at each step."""
+        params = self.rig.params.to_dict()
+        settings = {
+            "rig": {"params": params, "sample_time": self.rig.sample_time, "substeps": self.rig.substeps},
+            "about": self.lqr.about.tolist(),
+            "Q": self.lqr.Q.tolist(),
+            "R": self.lqr.R,
+            "S": self.rate_weight,
+            "energy_weight": self.energy_weight if self.cost == "energy" else None,
+            "samples": self.samples,
+            "max_iterations": self.max_iterations,
+            "solver": self.solver,
+            "compiler": find_compiler(),
+        }
+        return json.dumps(settings, sort_keys=True)
+
+
+def _checked(name: str, value: object, least: float, most: float) -> float:
+    if not isinstance(value, numbers.Real) or isinstance(value, bool) or not least <= value <= most or value == math.inf:
+        raise ValueError(f"{name} must be a finite number from {least:g} to {most:g}; got {value!r}.")
+    return float(value)
+
+
+def _pace(rig: Rig) -> float:
+    """Tell how many times longer than on ``gustafsson2016`` a swing-up takes: slower links, a weaker actuator."""
+    c = rig.params.coefficients()
+    if not c.f1 > 0:
+        return 1.0
+    swing = math.sqrt(float(c.d4) / float(c.f1)) / 0.301  # of link 1 with link 2 at its end
+    strength = float(rig.force_limit) / (float(c.d1) * rig.params.gravity) / 2.04
+    return float(swing * min(max(1.0, strength**-0.5), 3.0))
+
+
+def _stopping_speed(rig: Rig, margin: float) -> float:
+    r"""Give :math:`v = \sqrt{2\,\tfrac12 a\,m}`: half the acceleration of the actuator stops it within the margin."""
+    if not math.isfinite(rig.track_limit):
+        return math.inf
+    return math.sqrt(float(rig.force_limit) / float(rig.params.coefficients().d1) * margin)
+
+
+class _Problem(NamedTuple):
+    program: Program
+    warm: NLPSolver
+    cold: NLPSolver
+    sample: Any
+
+
+@lru_cache(maxsize=32)
+def _problem(key: str) -> _Problem:
+    """Build the solvers for the settings that a key names: a quick one that goes on from a plan, and one for guesses."""
+    settings = json.loads(key)
+    rig = Rig.from_dict(settings["rig"])
+    program = multiple_shooting(_stage(rig, settings), settings["samples"])
+
+    def solver(barrier: float, iterations: int) -> NLPSolver:
+        common = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False}
+        limits = {"tol": _TOLERANCE, "mu_init": barrier, "max_iter": iterations, "print_level": 0}
+        start = {"bound_push": 1e-6, "bound_frac": 1e-6} if barrier == _WARM_BARRIER else {}
+        return nlp_solver(
+            program.nlp,
+            solver=settings["solver"],
+            derivatives=program.derivatives,
+            fatrop=common | {"structure_detection": "auto", "equality": program.equality, "fatrop": limits},
+            ipopt=common | {"ipopt": limits | start | {"sb": "yes"}},
+        )
+
+    warm = solver(_WARM_BARRIER, settings["max_iterations"])
+    return _Problem(program, warm, solver(_COLD_BARRIER, _COLD_ITERATIONS), sample_function(rig))
+
+
+def _stage(rig: Rig, settings: dict[str, Any]) -> Stage:
+    """Give one stage: the state, with the force before where its change costs, and all costs as squares."""
+    Q, R, S = np.array(settings["Q"]), settings["R"], settings["S"]
+    about = np.array(settings["about"])
+    lqr = LQR(rig, Q, R, about=about)
+    remembers = S > 0
+    x, u, p = casadi.SX.sym("x", 6 + remembers), casadi.SX.sym("u"), casadi.SX.sym("p", 3)
+    e = casadi.vertcat(*_residuals(casadi.vertsplit(x[:6]), (*casadi.vertsplit(p), 0.0, 0.0, 0.0)))
+    if settings["energy_weight"] is None:
+        r, W = casadi.vertcat(e, u), _diagonal(Q, R)
+    else:
+        energy = energy_function(rig.params)
+        there, hanging = float(energy(about)), float(energy([0, math.pi, math.pi, 0, 0, 0]))
+        reference = max(there - hanging, 0.5 * abs(hanging), 1e-9)
+        r = casadi.vertcat(e[0], e[3], (energy(x[:6]) - there) / reference, u)
+        W = np.diag([Q[0, 0], Q[3, 3], settings["energy_weight"], R])
+    step, last, P = substep_function(rig), e, lqr.P
+    if remembers:
+        r, W, last = casadi.vertcat(r, u - x[6]), _diagonal(W, S), casadi.vertcat(e, x[6])
+        P = _cost_with_rate(rig, about, Q, R, S)
+        step = casadi.Function("substep", [x, u], [casadi.vertcat(step(x[:6], u), u)])
+    far = 4 * float(Q[1, 1] + Q[2, 2]) or 1.0
+    scale = _FAR_COST / (settings["samples"] * far)
+    by_z, by_x = casadi.jacobian(r, casadi.vertcat(x, u)), casadi.jacobian(last, x)
+    return Stage(
+        x=x,
+        u=u,
+        p=p,
+        step=step,
+        steps=rig.substeps,
+        cost=casadi.bilin(scale * W, r, r),
+        terminal=casadi.bilin(scale * P, last, last),
+        curvature=2 * casadi.mtimes([by_z.T, scale * W, by_z]),
+        terminal_curvature=2 * casadi.mtimes([by_x.T, scale * P, by_x]),
+        second_order=False,
+    )
+
+
+def _diagonal(first: Array, second: float) -> Array:
+    """Give a block-diagonal matrix of a matrix and a number."""
+    n = len(first)
+    whole = np.zeros((n + 1, n + 1))
+    whole[:n, :n] = first
+    whole[n, n] = second
+    return whole
+
+
+def _cost_with_rate(rig: Rig, about: Array, Q: Array, R: float, S: float) -> Array:
+    r"""Give the Riccati solution for states :math:`(x, u_{-1})` and costs with :math:`S (u - u_{-1})^2`."""
+    Ad, Bd = discretize(*linearize(rig.params, about), rig.sample_time)
+    cross = np.zeros((7, 1))
+    cross[6] = -S
+    _, P, _ = control.dlqr(_diagonal(Ad, 0.0), np.vstack([Bd, [[1.0]]]), _diagonal(Q, S), R + S, cross)
+    return np.asarray(P)
+
+
+class _Planner:
+    """The law at work on one run: the plan, and what became of each."""
+
+    def __init__(self, controller: NMPC, problem: _Problem) -> None:
+        self.log: dict[str, list[float]] = {"status": [], "iterations": [], "solve_time": []}
+        self._setpoint = controller.setpoint
+        self._guesses = controller.max_iterations > 1
+        self._problem = problem
+        self._program = program = problem.program
+        self._about = controller.lqr.about
+        self._gain, self._P = controller.lqr.K[0], controller.lqr.P
+        self._T = controller.rig.sample_time
+        self._force = float(controller.rig.force_limit)
+        self._track = float(controller.rig.track_limit) - controller.margin
+        # Where there is no limit, guesses still need one.
+        weight = float(controller.rig.params.coefficients().d1) * controller.rig.params.gravity
+        self._guess_force = min(self._force, 3 * weight or 1.0)
+        highest = np.full((program.horizon + 1, program.nx), np.inf)
+        highest[:, 0] = self._track
+        highest[-1, 3] = _stopping_speed(controller.rig, controller.margin)
+        self._high = program.pack(highest, np.full((program.horizon, 1), self._force))
+        self._low = -self._high
+        self._plan: Plan | None = None
+        self._u = 0.0
+
+    def __call__(self, t: float, y: Array) -> Array:
+        x = self._with_force(y[0], self._u)
+        if self._plan is None:
+            self._plan, status, iterations, seconds = self._first_plan(t, x)
+        else:
+            guess = self._moved_on(t, self._plan)
+            plan, status, iterations, seconds, _ = self._solve(self._problem.warm, t, x, guess)
+            self._plan = guess if status is PlanStatus.SHIFTED else plan
+        for name, value in (("status", status), ("iterations", iterations), ("solve_time", seconds)):
+            self.log[name].append(float(value))
+        self._u = float(np.clip(self._plan[1][0, 0], -self._force, self._force))
+        return np.array([self._u])
+
+    def _with_force(self, x: Array, u: float) -> Array:
+        """Give the state as the program has it: with the last force if changes of force cost."""
+        return np.append(x, u)[: self._program.nx]
+
+    def _position(self, t: float) -> float:
+        where = self._setpoint(t) if callable(self._setpoint) else self._setpoint
+        return float(self._about[0]) + float(where)
+
+    def _goals(self, t: float, end: Array) -> Array:
+        """Give position and angles to be reached at each stage ``(N + 1, 3)``, by the turn nearest to the plan's end."""
+        N = self._program.horizon
+        goals = np.empty((N + 1, 3))
+        looks = callable(self._setpoint)
+        goals[:, 0] = [self._position(t + k * self._T) for k in range(N + 1)] if looks else self._position(t)
+        goals[:, 1:] = self._about[1:3] + _TURN * np.rint((end[1:3] - self._about[1:3]) / _TURN)
+        return goals
+
+    def _solve(self, solver: NLPSolver, t: float, x: Array, guess: Plan) -> tuple[Plan, PlanStatus, int, float, float]:
+        """Give the plan from a state, its status, the iterations and seconds it took, and its cost."""
+        program, (xs, us) = self._program, guess
+        xs = np.vstack([x, xs[1:]])
+        nx = program.nx
+        self._low[:nx] = self._high[:nx] = x
+        goals = self._goals(t, xs[-1]).ravel()
+        began = perf_counter()
+        found = solver.solve(x0=program.pack(xs, us), lbx=self._low, ubx=self._high, lbg=0.0, ubg=0.0, p=goals)
+        seconds = perf_counter() - began
+        stats = solver.solve.stats()
+        w = found["x"].full().ravel()
+        plan = program.unpack(w)
+        over = np.maximum(w - self._high, self._low - w).max()
+        usable = np.isfinite(w).all() and max(float(casadi.norm_inf(found["g"])), over) < _GAP
+        status = PlanStatus.ACCEPTED if usable else PlanStatus.SHIFTED
+        if usable and stats["success"]:
+            status = PlanStatus.SOLVED
+        return plan, status, int(stats["iter_count"]), seconds, float(found["f"])
+
+    def _moved_on(self, t: float, plan: Plan) -> Plan:
+        """Give the plan one sample later; what is missing at its end is the LQR's."""
+        xs, us = plan
+        last = xs[-1]
+        u = float(np.clip(self._feedback(t + len(us) * self._T, last), -self._force, self._force))
+        return np.vstack([xs[1:], self._sampled(last, u)]), np.vstack([us[1:], [[u]]])
+
+    def _sampled(self, x: Array, u: float) -> Array:
+        return self._with_force(self._problem.sample(x[:6], u).full().ravel(), u)
+
+    def _feedback(self, t: float, x: Array) -> float:
+        about = self._about.copy()
+        about[0] = self._position(t)
+        return -float(self._gain @ deviation(x[:6], about))
+
+    def _first_plan(self, t: float, x: Array) -> tuple[Plan, PlanStatus, int, float]:
+        """Give the cheapest plan that the guesses lead to, and the sums of what they took."""
+        best: tuple[bool, float] | None = None
+        chosen: tuple[Plan, PlanStatus] | None = None
+        iterations, seconds = 0, 0.0
+        for guess, good in self._first_guesses(t, x):
+            plan, status, count, took, cost = self._solve(self._problem.cold, t, x, guess)
+            iterations += count
+            seconds += took
+            failed = status is PlanStatus.SHIFTED
+            if best is None or (failed, cost) < best:
+                best = failed, cost
+                chosen = (guess if failed else plan), status
+            if good and not failed:
+                break
+        assert chosen is not None
+        return *chosen, iterations, seconds
+
+    def _first_guesses(self, t: float, x: Array) -> Iterator[tuple[Plan, bool]]:
+        """Give guesses, and of each whether it is good enough to look no further.
+
+        The LQR's motion, if it arrives; straight lines to the nearest two turns of each link; and motions under forces
+        that swing to and fro, because at rest straight down the cost is level.
+        """
+        N = self._program.horizon
+        motion = self._motion(x, lambda k, x: self._feedback(t + k * self._T, x))
+        end = deviation(motion[0][-1, :6], [*self._goals(t, motion[0][-1])[-1], 0.0, 0.0, 0.0])
+        on_track = np.abs(motion[0][:, 0]).max() <= self._track
+        yield motion, bool(on_track and end @ self._P @ end < 0.1 * (1 + self._P.trace() / 6))
+        off = deviation(x[:6], self._about)
+        other = np.where(off[1:3] > 0, _TURN, -_TURN)  # to the turn on the far side
+        for turns in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            goal = np.zeros(self._program.nx)
+            goal[0] = self._goals(t, x)[-1, 0]
+            goal[1:3] = x[1:3] - off[1:3] + other * turns
+            yield (np.linspace(x, goal, N + 1), np.zeros((N, 1))), False
+        for amplitude, periods in ((0.5, 1.0), (-0.5, 1.0), (0.5, 2.0), (-0.5, 2.0)):
+            swing = amplitude * self._guess_force * np.sin(_TURN * periods * np.arange(N) / N)
+            yield self._motion(x, lambda k, _, swing=swing: float(swing[k])), False
+
+    def _motion(self, x: Array, law: Callable[[int, Array], float]) -> Plan:
+        N, limit = self._program.horizon, self._guess_force
+        xs, us = np.empty((N + 1, len(x))), np.empty((N, 1))
+        xs[0] = x
+        for k in range(N):
+            us[k] = np.clip(law(k, xs[k]), -limit, limit)
+            xs[k + 1] = self._sampled(xs[k], us[k, 0])
+        return xs, us
