@@ -6,6 +6,7 @@ from .energy import EnergyPump, EnergySwingUp
 from .estimators import EKF, UKF, Predictor, WithEstimator
 from .ilqr import ILQRMPC, ilqr
 from .lqr import LQR, BangBang, Margins
+from .nmpc import NMPC
 from .sdre import SDRE
 from .smoothing import LowPass, RateLimit
 from .switching import Ahead, Catch, Ellipsoid, NearEnergy
@@ -17,6 +18,7 @@ __all__ = [
     "EKF",
     "ILQRMPC",
     "LQR",
+    "NMPC",
     "SDRE",
     "TVLQR",
     "UKF",

@@ -175,7 +175,7 @@ class NMPC:
 
     @property
     def backend(self) -> str:
-        """The solver, and what evaluates the plant for it: generated C or CasADi's own machine; builds it if need be."""
+        """The solver, and what evaluates the plant for it: generated C or CasADi itself; built if need be."""
         return _problem(self._key()).warm.backend
 
     def __repr__(self) -> str:
@@ -213,7 +213,12 @@ class NMPC:
 
 
 def _checked(name: str, value: object, least: float, most: float) -> float:
-    if not isinstance(value, numbers.Real) or isinstance(value, bool) or not least <= value <= most or value == math.inf:
+    if (
+        not isinstance(value, numbers.Real)
+        or isinstance(value, bool)
+        or not least - 1e-12 <= value <= most + 1e-12
+        or value == math.inf
+    ):
         raise ValueError(f"{name} must be a finite number from {least:g} to {most:g}; got {value!r}.")
     return float(value)
 
@@ -244,7 +249,7 @@ class _Problem(NamedTuple):
 
 @lru_cache(maxsize=32)
 def _problem(key: str) -> _Problem:
-    """Build the solvers for the settings that a key names: a quick one that goes on from a plan, and one for guesses."""
+    """Build the solvers for the settings of a key: a quick one that goes on from a plan, and one for guesses."""
     settings = json.loads(key)
     rig = Rig.from_dict(settings["rig"])
     program = multiple_shooting(_stage(rig, settings), settings["samples"])
@@ -368,7 +373,7 @@ class _Planner:
         return float(self._about[0]) + float(where)
 
     def _goals(self, t: float, end: Array) -> Array:
-        """Give position and angles to be reached at each stage ``(N + 1, 3)``, by the turn nearest to the plan's end."""
+        """Give position and angles to reach at each stage ``(N + 1, 3)``, by the turn nearest to the plan's end."""
         N = self._program.horizon
         goals = np.empty((N + 1, 3))
         looks = callable(self._setpoint)

@@ -1,0 +1,268 @@
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import casadi
+import numpy as np
+import pytest
+
+import controllers.codegen as codegen
+import dpend
+from controllers import LQR, NMPC
+from controllers.nmpc import PlanStatus, _problem
+from controllers.shooting import Stage, multiple_shooting
+from dpend.params import Array
+from tests.rigs import whole
+
+RIG = dpend.rig("gustafsson2016")
+SHORT = {"horizon": 0.5}
+
+
+def law(controller: Any) -> Any:
+    return controller.start(1, np.random.default_rng(0))
+
+
+def forces(controller: NMPC, x: Array, samples: int) -> tuple[Array, Any]:
+    """Give the forces of the law in closed loop on the ideal rig, and the law."""
+    act = law(controller)
+    stepper = dpend.Stepper(controller.rig, 1)
+    y = stepper.reset(x)
+    u = []
+    for k in range(samples):
+        u.append(act(k * controller.rig.sample_time, y)[0])
+        y = stepper.step(np.array(u[-1:]))
+    return np.array(u), act
+
+
+# ------------------------------------------------------------------------------------------------- multiple shooting
+
+
+def small_program(second_order: bool = True) -> Any:
+    """Give a program with two inputs, a path constraint and two steps a sample, whose derivatives CasADi can derive."""
+    x, u, p = casadi.SX.sym("x", 3), casadi.SX.sym("u", 2), casadi.SX.sym("p", 2)
+    ahead = casadi.vertcat(x[1] + casadi.sin(x[2]) * u[0], x[0] * x[2] + u[1] ** 2, x[2] + 0.1 * x[0] * u[0])
+    stage = Stage(
+        x=x,
+        u=u,
+        p=p,
+        step=casadi.Function("step", [x, u], [ahead]),
+        steps=2,
+        cost=casadi.cos(x[0] - p[0]) * u[0] ** 2 + u[1] ** 4,
+        terminal=casadi.exp(x[1]) * p[1],
+        path=casadi.vertcat(x[0] * x[1], casadi.sin(x[2]) + p[0]),
+        second_order=second_order,
+    )
+    return multiple_shooting(stage, 4)
+
+
+def test_derivatives_by_stages_are_those_that_casadi_derives_from_the_whole() -> None:
+    program = small_program()
+    mine = {function.name(): function for function in program.derivatives}
+    nlp = {**program.nlp}
+    lam = casadi.MX.sym("lam", program.nlp["g"].shape[0])
+    scale = casadi.MX.sym("scale")
+    w, p, f, g = (nlp[name] for name in ("x", "p", "f", "g"))
+    hessian, gradient = casadi.hessian(scale * f + casadi.dot(lam, g), w)
+    whole_program = casadi.Function(
+        "whole", [w, p, scale, lam], [f, g, casadi.gradient(f, w), casadi.jacobian(g, w), hessian, gradient]
+    )
+    rng = np.random.default_rng(0)
+    at = [rng.normal(size=n) for n in (w.numel(), p.numel())]
+    multipliers = [1.7, rng.normal(size=lam.numel())]
+    f0, g0, grad, jac, hess, grad_l = (np.array(casadi.DM(each)) for each in whole_program(*at, *multipliers))
+    found = [
+        (mine["nlp_f"](*at), f0),
+        (mine["nlp_g"](*at), g0),
+        (mine["nlp_grad_f"](*at), grad),
+        (mine["nlp_jac_g"](*at)[0], g0),
+        (mine["nlp_jac_g"](*at)[1], jac),
+        (mine["nlp_hess_l"](*at, *multipliers)[0], grad_l),
+        (mine["nlp_hess_l"](*at, *multipliers)[1], hess),
+        (mine["nlp_grad"](*at, *multipliers)[2], grad_l),
+    ]
+    for ours, theirs in found:
+        np.testing.assert_allclose(casadi.DM(ours).full(), theirs, rtol=1e-10, atol=1e-10)
+
+
+def test_what_is_packed_is_unpacked() -> None:
+    program = small_program()
+    x, u = np.arange(15.0).reshape(5, 3), -np.arange(8.0).reshape(4, 2)
+    again = program.unpack(program.pack(x, u))
+    assert np.array_equal(again[0], x)
+    assert np.array_equal(again[1], u)
+    gaps = casadi.Function("g", [program.nlp["x"], program.nlp["p"]], [program.nlp["g"]])
+    assert program.constraints(0.0, 1.0).shape == (gaps.numel_out(0),)
+    assert len(program.equality) == gaps.numel_out(0)
+    assert np.array_equal(program.constraints(1.0, 0.0) == 1.0, program.equality)
+
+
+# -------------------------------------------------------------------------------------------------------- compilation
+
+
+def rosenbrock() -> dict[str, Any]:
+    x = casadi.MX.sym("x", 2)
+    return {"x": x, "f": (1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2, "g": x[0] + x[1]}
+
+
+QUIET = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}}
+
+
+def test_compiled_and_interpreted_solvers_agree(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DPEND_CACHE", str(tmp_path))
+    found = [codegen.nlp_solver(rosenbrock(), solver="ipopt", ipopt=QUIET, compiled=flag) for flag in (True, False)]
+    if codegen.find_compiler():
+        assert found[0].backend == "IPOPT, compiled C"
+        assert [path.suffix for path in (tmp_path / "c").iterdir()] == [".so"]
+    assert found[1].backend == "IPOPT, interpreted by CasADi"
+    answers = [made.solve(x0=[0.1, 0.2], lbg=-10, ubg=10)["x"].full() for made in found]
+    np.testing.assert_allclose(answers, np.ones((2, 2, 1)), atol=1e-6)
+
+
+def test_a_compiler_that_fails_is_no_error_and_is_named(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = tmp_path / "broken"
+    broken.write_text("#!/bin/sh\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("CC", str(broken))
+    monkeypatch.setenv("DPEND_CACHE", str(tmp_path / "cache"))
+    found = codegen.nlp_solver(rosenbrock(), ipopt=QUIET)
+    assert found.backend == "IPOPT, interpreted by CasADi, broken failed"
+    assert found.plugin == "ipopt"
+
+
+def test_a_solver_that_does_not_exist_is_refused() -> None:
+    message = 'solver must be "auto", "fatrop" or "ipopt"; got \'snopt\'.'
+    with pytest.raises(ValueError, match=whole(message)):
+        codegen.nlp_solver(rosenbrock(), solver="snopt")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=whole(message)):
+        NMPC(RIG, solver="snopt")  # type: ignore[arg-type]
+
+
+# ------------------------------------------------------------------------------------------------------------ the law
+
+
+@pytest.mark.parametrize("rate_weight", [0.0, 1.0])
+def test_close_to_the_target_it_is_the_regulator(rate_weight: float) -> None:
+    controller = NMPC(RIG, rate_weight=rate_weight, **SHORT)
+    x = 1e-3 * np.random.default_rng(0).standard_normal((5, 6))
+    regulator = LQR(RIG, (10, 50, 50, 1, 1, 1), 0.1)
+    for row in x:
+        first = law(controller)(0.0, row[None])[0]
+        expected = float(-regulator.K[0] @ row)
+        if rate_weight == 0:
+            assert first == pytest.approx(expected, rel=1e-3, abs=1e-4)
+        else:  # a change of force costs, so the first is smaller
+            assert 0 < first / expected < 1
+
+
+def test_at_the_target_and_at_each_turn_of_it_there_is_nothing_to_do() -> None:
+    for target, angles in (("up-up", (2 * np.pi, -4 * np.pi)), ("down-down", (-np.pi, 3 * np.pi))):
+        x = np.array([[0.0, *angles, 0.0, 0.0, 0.0]])
+        assert law(NMPC(RIG, target=target, **SHORT))(0.0, x)[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_limits_hold_in_closed_loop() -> None:
+    rig = RIG.replace(track_limit=0.3, force_limit=30.0)
+    x0 = [0.0, 0.15, -0.1, 0.0, 0.0, 0.0]
+    run = dpend.simulate(rig, NMPC(rig, setpoint=0.28), x0, 3.0)
+    assert run.success
+    assert np.abs(run.u).max() <= 30.0
+    assert np.abs(run.x[:, 0]).max() <= 0.3 - 0.02 + 1e-3
+    assert run.x[-1, 0] == pytest.approx(0.28, abs=0.02)
+
+
+def test_the_cart_follows_its_set_point_and_looks_ahead() -> None:
+    x0 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    with_steps = NMPC(RIG, setpoint=lambda t: 0.5 if t >= 1.0 else 0.0)
+    run = dpend.simulate(RIG, with_steps, x0, 4.0, task=None)
+    before = run.x[round(0.98 / RIG.sample_time), 0]
+    assert abs(before) > 1e-3  # it has begun before the step
+    assert run.x[-1, 0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_failed_solver_is_counted_and_the_plan_goes_on() -> None:
+    x = np.array([0.0, 0.1, -0.1, 0.0, 0.0, 0.0])
+    good, act = forces(NMPC(RIG, **SHORT), x, 3)
+    assert act.log["status"] == [PlanStatus.SOLVED] * 3
+    act = law(NMPC(RIG, **SHORT))
+    first = act(0.0, x[None])[0]
+    outside = np.array([[3.5, 0.1, -0.1, 0.0, 0.0, 0.0]])  # no force brings the cart back within one sample
+    plan = act._plan
+    u = act(0.02, outside)[0]
+    assert first == good[0]
+    assert act.log["status"] == [PlanStatus.SOLVED, PlanStatus.SHIFTED]
+    assert u == plan[1][1, 0]
+
+
+def test_one_iteration_a_step_never_gives_more_than_a_number_and_is_told_apart() -> None:
+    u, act = forces(NMPC(RIG, max_iterations=1, **SHORT), np.array([0.0, 0.4, -0.3, 0.0, 0.0, 0.0]), 6)
+    assert np.isfinite(u).all()
+    assert max(act.log["iterations"][1:]) <= 2
+    assert set(act.log["status"][1:]) & {PlanStatus.ACCEPTED, PlanStatus.SHIFTED}
+
+
+def test_runs_keep_what_the_law_tells_of_its_steps() -> None:
+    run = dpend.simulate(RIG, NMPC(RIG, **SHORT), [0.0, 0.05, 0.0, 0.0, 0.0, 0.0], 0.1)
+    assert set(run.log) == {"status", "iterations", "solve_time"}
+    assert all(values.shape == (5,) for values in run.log.values())
+    assert (run.log["solve_time"] > 0).all()
+
+
+def test_without_a_compiler_it_works_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = np.array([0.0, 0.1, -0.1, 0.0, 0.0, 0.0])
+    usual, _ = forces(NMPC(RIG, **SHORT), x, 3)
+    monkeypatch.setattr("controllers.codegen.find_compiler", lambda: None)
+    monkeypatch.setattr("controllers.nmpc.find_compiler", lambda: None)
+    controller = NMPC(RIG, **SHORT)
+    assert repr(controller) == "<NMPC, 25 samples of 0.02 s, solver auto, interpreted, no C compiler>"
+    assert controller.backend == "IPOPT, interpreted by CasADi, no C compiler"
+    found, act = forces(controller, x, 3)
+    assert act.log["status"] == [PlanStatus.SOLVED] * 3
+    np.testing.assert_allclose(found, usual, atol=0.02)
+
+
+def test_equal_settings_share_one_solver_and_a_pickle_gives_the_same_law() -> None:
+    x = np.array([0.0, 0.2, -0.1, 0.0, 0.0, 0.0])
+    one = NMPC(RIG, **SHORT)
+    two = pickle.loads(pickle.dumps(one))
+    law(one)
+    built = _problem.cache_info().misses
+    assert np.array_equal(forces(one, x, 4)[0], forces(two, x, 4)[0])
+    law(NMPC(RIG.replace(track_limit=1.0), **SHORT))
+    assert _problem.cache_info().misses == built
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"cost": "time"}, 'cost must be "quadratic" or "energy"; got \'time\'.'),
+        ({"horizon": 0.02}, "horizon must be a finite number from 0.04 to 1000; got 0.02."),
+        ({"margin": 3.0}, "margin must be a finite number from 0 to 2.4; got 3.0."),
+        ({"setpoint": 2.39}, "setpoint must be a finite number from -2.38 to 2.38; got 2.39."),
+        ({"rate_weight": -1}, "rate_weight must be a finite number from 0 to inf; got -1."),
+        ({"max_iterations": 0}, "max_iterations must be a whole number, at least 1; got 0."),
+    ],
+)
+def test_wrong_settings_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=whole(message)):
+        NMPC(RIG, **settings)
+
+
+def test_several_plants_or_runs_at_once_are_refused() -> None:
+    with pytest.raises(ValueError, match=whole("NMPC plans for one plant; got a rig of 2 rows.")):
+        NMPC(RIG.replace(mass1=np.array([0.5, 0.6])))
+    with pytest.raises(ValueError, match=whole("NMPC treats one run at a time; got n = 2.")):
+        NMPC(RIG).start(2, np.random.default_rng(0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cost", ["quadratic", "energy"])
+@pytest.mark.parametrize("start", ["hanging", "side"])
+def test_it_swings_up_within_the_limits(cost: Any, start: str) -> None:
+    task = dpend.SwingUp(start=start, spread=0.1, steps=200)
+    x0 = task.starts(np.random.default_rng(5), 2, RIG)
+    runs = dpend.simulate_many(RIG, NMPC(RIG, cost=cost), x0, task=task)
+    assert runs.success.all()
+    assert (runs.travel < 2.4 - 0.02 + 1e-3).all()
+    assert np.abs(runs.u).max() <= 40.0
+    assert (runs.log["status"] != PlanStatus.SHIFTED).all()
