@@ -44,6 +44,7 @@ _FAR_COST = 300.0
 _TOLERANCE = 1e-4
 _GAP = 1e-3  # largest defect of a plan, in any state's unit, that is still followed
 _COLD_ITERATIONS = 100
+_ARRIVED = 0.2  # rad, within which a first plan's end must be for no further guesses to be made
 _WARM_BARRIER, _COLD_BARRIER = 1e-3, 1e-1
 
 Plan = tuple[Array, Array]
@@ -332,11 +333,10 @@ class _Planner:
     def __init__(self, controller: NMPC, problem: _Problem) -> None:
         self.log: dict[str, list[float]] = {"status": [], "iterations": [], "solve_time": []}
         self._setpoint = controller.setpoint
-        self._guesses = controller.max_iterations > 1
         self._problem = problem
         self._program = program = problem.program
         self._about = controller.lqr.about
-        self._gain, self._P = controller.lqr.K[0], controller.lqr.P
+        self._gain = controller.lqr.K[0]
         self._T = controller.rig.sample_time
         self._force = float(controller.rig.force_limit)
         self._track = float(controller.rig.track_limit) - controller.margin
@@ -417,44 +417,48 @@ class _Planner:
         return -float(self._gain @ deviation(x[:6], about))
 
     def _first_plan(self, t: float, x: Array) -> tuple[Plan, PlanStatus, int, float]:
-        """Give the cheapest plan that the guesses lead to, and the sums of what they took."""
-        best: tuple[bool, float] | None = None
-        chosen: tuple[Plan, PlanStatus] | None = None
-        iterations, seconds = 0, 0.0
-        for guess, good in self._first_guesses(t, x):
-            plan, status, count, took, cost = self._solve(self._problem.cold, t, x, guess)
-            iterations += count
-            seconds += took
-            failed = status is PlanStatus.SHIFTED
-            if best is None or (failed, cost) < best:
-                best = failed, cost
-                chosen = (guess if failed else plan), status
-            if good and not failed:
+        """Give the cheapest plan of the first kind of guesses that arrives, and the sums of what all took."""
+        found: list[tuple[bool, float, int, Plan, PlanStatus]] = []
+        iterations, seconds, arrived = 0, 0.0, False
+        for guesses in (self._regulated, self._straight, self._swinging):
+            for guess in guesses(t, x):
+                plan, status, count, took, cost = self._solve(self._problem.cold, t, x, guess)
+                iterations += count
+                seconds += took
+                failed = status is PlanStatus.SHIFTED
+                arrived |= not failed and self._near(plan[0][-1], _ARRIVED)
+                found.append((failed, cost, len(found), guess if failed else plan, status))
+            if arrived:
                 break
-        assert chosen is not None
-        return *chosen, iterations, seconds
+        _, _, _, plan, status = min(found)
+        return plan, status, iterations, seconds
 
-    def _first_guesses(self, t: float, x: Array) -> Iterator[tuple[Plan, bool]]:
-        """Give guesses, and of each whether it is good enough to look no further.
+    def _near(self, x: Array, angle: float) -> bool:
+        """Tell whether both links are within an angle of the target's."""
+        return bool(np.abs(deviation(x[:6], self._about)[1:3]).max() < angle)
 
-        The LQR's motion, if it arrives; straight lines to the nearest two turns of each link; and motions under forces
-        that swing to and fro, because at rest straight down the cost is level.
-        """
+    def _regulated(self, t: float, x: Array) -> Iterator[Plan]:
+        """Guess the LQR's motion, where the links are on the target's side."""
+        if self._near(x, math.pi / 2):
+            yield self._motion(x, lambda k, x: self._feedback(t + k * self._T, x))
+
+    def _straight(self, t: float, x: Array) -> Iterator[Plan]:
+        """Guess straight lines to the nearest two turns of each link."""
         N = self._program.horizon
-        motion = self._motion(x, lambda k, x: self._feedback(t + k * self._T, x))
-        end = deviation(motion[0][-1, :6], [*self._goals(t, motion[0][-1])[-1], 0.0, 0.0, 0.0])
-        on_track = np.abs(motion[0][:, 0]).max() <= self._track
-        yield motion, bool(on_track and end @ self._P @ end < 0.1 * (1 + self._P.trace() / 6))
-        off = deviation(x[:6], self._about)
-        other = np.where(off[1:3] > 0, _TURN, -_TURN)  # to the turn on the far side
+        off = deviation(x[:6], self._about)[1:3]
+        other = np.where(off > 0, _TURN, -_TURN)  # to the turn on the far side
         for turns in ((0, 0), (0, 1), (1, 0), (1, 1)):
             goal = np.zeros(self._program.nx)
             goal[0] = self._goals(t, x)[-1, 0]
-            goal[1:3] = x[1:3] - off[1:3] + other * turns
-            yield (np.linspace(x, goal, N + 1), np.zeros((N, 1))), False
+            goal[1:3] = x[1:3] - off + other * turns
+            yield np.linspace(x, goal, N + 1), np.zeros((N, 1))
+
+    def _swinging(self, t: float, x: Array) -> Iterator[Plan]:
+        """Guess motions under forces to and fro, because the cost is level where the links hang at rest."""
+        N = self._program.horizon
         for amplitude, periods in ((0.5, 1.0), (-0.5, 1.0), (0.5, 2.0), (-0.5, 2.0)):
             swing = amplitude * self._guess_force * np.sin(_TURN * periods * np.arange(N) / N)
-            yield self._motion(x, lambda k, _, swing=swing: float(swing[k])), False
+            yield self._motion(x, lambda k, _, swing=swing: float(swing[k]))
 
     def _motion(self, x: Array, law: Callable[[int, Array], float]) -> Plan:
         N, limit = self._program.horizon, self._guess_force
