@@ -42,7 +42,7 @@ START = np.array([0.0, 0.9 * math.pi, 0.9 * math.pi, 0.0, 0.0, 0.0])
 SWITCH = 4.0  # s, when the cart's set-point jumps
 TRACKING, CHANGE = 10.0, 0.1  # weights of the set-point's error and of the force's change
 STEPS = 240
-COLD_BARRIER = 0.1
+COLD_BARRIER = 0.03
 PLANNED = RIG.replace(substeps=2)  # the step with which a plan is made; the loop is closed on RIG's
 
 Law = Callable[[float, Array], float]

@@ -85,8 +85,8 @@ class NMPC:
         which the rig's links swing more slowly than those of ``gustafsson2016`` and its actuator is weaker.
     Q : array_like, optional
         State weights, a diagonal ``(6,)`` or a matrix ``(6, 6)``; left out, (10, 50, 50, 1, 1, 1).
-    R : float
-        Weight of the force.
+    R : float, optional
+        Weight of the force; left out, :math:`160 / u_\text{max}^2`, and 0.1 where the force has no limit.
     rate_weight : float
         :math:`S`, weight of the change of force from sample to sample; the final cost is then that of the LQR with the
         same weight.
@@ -136,7 +136,7 @@ class NMPC:
         cost: Literal["quadratic", "energy"] = "quadratic",
         horizon: float | None = None,
         Q: npt.ArrayLike | None = None,
-        R: float = 0.1,
+        R: float | None = None,
         rate_weight: float = 0.0,
         energy_weight: float = 400.0,
         setpoint: float | Callable[[float], float] = 0.0,
@@ -151,6 +151,8 @@ class NMPC:
             raise ValueError(f'cost must be "quadratic" or "energy"; got {cost!r}.')
         if solver not in ("auto", "fatrop", "ipopt"):
             raise ValueError(f'solver must be "auto", "fatrop" or "ipopt"; got {solver!r}.')
+        if R is None:
+            R = 160 / float(rig.force_limit) ** 2 if math.isfinite(rig.force_limit) else 0.1
         self.lqr = LQR(rig, (10, 50, 50, 1, 1, 1) if Q is None else Q, R, about=as_equilibrium(target))
         self.rig = rig
         self.cost = cost

@@ -16,7 +16,7 @@ from dpend.params import Array
 from tests.rigs import whole
 
 RIG = dpend.rig("gustafsson2016")
-SHORT = {"horizon": 0.5}
+SHORT: dict[str, Any] = {"horizon": 0.5}
 
 
 def law(controller: Any) -> Any:
