@@ -256,17 +256,16 @@ def main(quick: bool = False) -> None:
     """
     pin_to_one_core()
     console = Console()
-    console.print(
-        f"Python {platform.python_version()}, {version_of('casadi')}, {version_of('do-mpc')}", highlight=False
-    )
     law, backend = ours()
-    laws: dict[str, Law] = {f"dpend ({backend})": law}
+    laws: dict[str, Law] = {"dpend": law}
+    versions = f"Python {platform.python_version()}, {version_of('casadi')}, {version_of('do-mpc')}"
+    console.print(f"{versions}; dpend by {backend}", highlight=False, soft_wrap=True)
     if find_spec("do_mpc"):
         warnings.simplefilter("ignore")  # about its extras, and from CasADi about its use of numpy
         laws["do-mpc"] = theirs()
     seconds, x, u = closed_loops(laws, 8 if quick else STEPS)
     table = Table(title=f"One step, {RIG.sample_time:g} s period, horizon {HORIZON}, ms", **TITLE)
-    for column in ("", "first", "median", "p99", "max", "late", "loop's cost", "up after, s", "clearance, m"):
+    for column in ("", "first", "median", "p99", "max", "late", "cost", "up, s", "clear, m"):
         table.add_column(column, justify="right" if column else "left")
     for name in laws:
         ms = 1e3 * seconds[name]

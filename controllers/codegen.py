@@ -115,8 +115,8 @@ def nlp_solver(
     if ours and wanted == "ipopt":
         options["ipopt"] |= {"jac_g": ours["nlp_jac_g"], "hess_lag": for_ipopt["nlp_hess_l"]}
     solve = casadi.nlpsol("solver", wanted, dict(nlp), options[wanted])
-    why = "" if not compiled else ", no C compiler" if compiler is None else f", {Path(compiler).name} failed"
-    return NLPSolver(solve, wanted, f"{_TITLES[wanted]}, interpreted by CasADi{why}")
+    why = "" if not compiled else " (no C compiler)" if compiler is None else f" ({Path(compiler).name} failed)"
+    return NLPSolver(solve, wanted, f"{_TITLES[wanted]}, CasADi's virtual machine{why}")
 
 
 _TITLES = {"fatrop": "fatrop", "ipopt": "IPOPT"}

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import math
-import numbers
 from collections.abc import Callable, Iterator
 from enum import IntEnum
 from functools import lru_cache
@@ -217,7 +216,7 @@ class NMPC:
 
 def _checked(name: str, value: object, least: float, most: float) -> float:
     if (
-        not isinstance(value, numbers.Real)
+        not isinstance(value, int | float | np.integer | np.floating)
         or isinstance(value, bool)
         or not least - 1e-12 <= value <= most + 1e-12
         or value == math.inf

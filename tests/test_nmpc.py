@@ -114,7 +114,7 @@ def test_compiled_and_interpreted_solvers_agree(tmp_path: Any, monkeypatch: pyte
     if codegen.find_compiler():
         assert found[0].backend == "IPOPT, compiled C"
         assert [path.suffix for path in (tmp_path / "c").iterdir()] == [".so"]
-    assert found[1].backend == "IPOPT, interpreted by CasADi"
+    assert found[1].backend == "IPOPT, CasADi's virtual machine"
     answers = [made.solve(x0=[0.1, 0.2], lbg=-10, ubg=10)["x"].full() for made in found]
     np.testing.assert_allclose(answers, np.ones((2, 2, 1)), atol=1e-6)
 
@@ -126,7 +126,7 @@ def test_a_compiler_that_fails_is_no_error_and_is_named(tmp_path: Any, monkeypat
     monkeypatch.setenv("CC", str(broken))
     monkeypatch.setenv("DPEND_CACHE", str(tmp_path / "cache"))
     found = codegen.nlp_solver(rosenbrock(), ipopt=QUIET)
-    assert found.backend == "IPOPT, interpreted by CasADi, broken failed"
+    assert found.backend == "IPOPT, CasADi's virtual machine (broken failed)"
     assert found.plugin == "ipopt"
 
 
@@ -215,7 +215,7 @@ def test_without_a_compiler_it_works_and_says_so(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("controllers.nmpc.find_compiler", lambda: None)
     controller = NMPC(RIG, **SHORT)
     assert repr(controller) == "<NMPC, 25 samples of 0.02 s, solver auto, interpreted, no C compiler>"
-    assert controller.backend == "IPOPT, interpreted by CasADi, no C compiler"
+    assert controller.backend == "IPOPT, CasADi's virtual machine (no C compiler)"
     found, act = forces(controller, x, 3)
     assert act.log["status"] == [PlanStatus.SOLVED] * 3
     np.testing.assert_allclose(found, usual, atol=0.02)
