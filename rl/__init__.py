@@ -1,6 +1,6 @@
 """Learners for the inverted double pendulum on a cart."""
 
 from .linear_q import LinearQLearning, Outcome, Training
-from .policies import LinearQPolicy, load_policy
+from .policies import LinearQPolicy, MLPPolicy, Network, load_policy
 
-__all__ = ["LinearQLearning", "LinearQPolicy", "Outcome", "Training", "load_policy"]
+__all__ = ["LinearQLearning", "LinearQPolicy", "MLPPolicy", "Network", "Outcome", "Training", "load_policy"]

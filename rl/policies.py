@@ -1,10 +1,12 @@
-"""Learned policies: controllers made of plain arrays."""
+"""Learned policies: controllers made of plain arrays, saved with a checksum and loaded without running code."""
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,10 +14,13 @@ import numpy.typing as npt
 
 from dpend.controller import Act
 from dpend.params import Array
+from dpend.suggest import suggestion
 
 from .features import TABLE1, slope_features
+from .shaping import observe
 
-_FORMAT = "dpend policy 1"
+_FORMAT = "dpend policy 2"
+_TRAINED = Path(__file__).parent / "trained"
 
 
 class LinearQPolicy:
@@ -79,51 +84,328 @@ class LinearQPolicy:
         Path
             The file; ``.npz`` is added where the name has no suffix.
         """
-        path = Path(path)
-        if not path.suffix:
-            path = path.with_suffix(".npz")
-        with path.open("wb") as file:
-            np.savez(
-                file,
-                format=np.array(_FORMAT),
-                kind=np.array("linear Q"),
-                weights=self.weights,
-                scales=self.scales,
-                forces=self.forces,
-                about=np.array(json.dumps(self.about, default=str)),
+        arrays = {"weights": self.weights, "scales": self.scales, "forces": self.forces}
+        return save_policy(path, "linear Q", arrays, self.about)
+
+
+_ACTIVATIONS: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
+    {"tanh": lambda h: np.tanh(h, out=h), "relu": lambda h: np.maximum(h, 0.0, out=h)}
+)
+_SQUASHES: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
+    {"tanh": lambda h: np.tanh(h, out=h), "clip": lambda h: np.clip(h, -1.0, 1.0, out=h)}
+)
+
+
+class Network:
+    r"""Network :math:`\pi(o) = s(W_k h_{k-1} + b_k)` with :math:`h_i = \sigma(W_i h_{i-1} + b_i)` and :math:`h_0 = o`.
+
+    Parameters
+    ----------
+    weights : sequence of array_like (m_i, m_{i-1})
+        :math:`W_1 \dots W_k`.
+    biases : sequence of array_like (m_i,)
+        :math:`b_1 \dots b_k`.
+    activation : {"tanh", "relu"}
+        :math:`\sigma`.
+    squash : {"clip", "tanh"}
+        :math:`s`, which brings actions within -1 and 1.
+    about : mapping, optional
+        Where the weights come from, in words and numbers; saved with them.
+
+    Raises
+    ------
+    ValueError
+        If a layer does not fit the one before, a number is not finite, or a function is unknown.
+    """
+
+    def __init__(
+        self,
+        weights: Sequence[npt.ArrayLike],
+        biases: Sequence[npt.ArrayLike],
+        *,
+        activation: str = "tanh",
+        squash: str = "clip",
+        about: Mapping[str, Any] | None = None,
+    ) -> None:
+        if not len(weights) or len(weights) != len(biases):
+            raise ValueError(f"Expected as many biases as weights, at least one; got {len(biases)} and {len(weights)}.")
+        self.weights = tuple(np.array(weight, dtype=np.float64) for weight in weights)
+        self.biases = tuple(_vector(f"bias {i}", bias, None) for i, bias in enumerate(biases))
+        width = self.weights[0].shape[-1] if self.weights[0].ndim else 0
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            if weight.shape != (len(bias), width) or not width:
+                raise ValueError(f"weight {i} must have shape ({len(bias)}, {width}); got {weight.shape}.")
+            if not np.isfinite(weight).all():
+                raise ValueError(f"weight {i} must be finite.")
+            weight.setflags(write=False)
+            width = len(bias)
+        for name, value, known in (("activation", activation, _ACTIVATIONS), ("squash", squash, _SQUASHES)):
+            if value not in known:
+                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {value!r}.")
+        self.activation = activation
+        self.squash = squash
+        self.about = dict(about or {})
+
+    @property
+    def inputs(self) -> int:
+        """Length of an observation."""
+        return self.weights[0].shape[1]
+
+    @property
+    def outputs(self) -> int:
+        """Length of an action."""
+        return len(self.biases[-1])
+
+    def __repr__(self) -> str:
+        return f"<network {'-'.join(str(n) for n in (self.inputs, *map(len, self.biases)))}, {self.activation}>"
+
+    def __call__(self, observations: Array) -> Array:
+        """Give actions ``(n, outputs)``, within -1 and 1, for observations ``(n, inputs)``."""
+        activate = _ACTIVATIONS[self.activation]
+        h = observations
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            h = h @ weight.T
+            h += bias
+            h = activate(h)
+        return _SQUASHES[self.squash](h @ self.weights[-1].T + self.biases[-1])
+
+    def save(self, path: str | Path) -> Path:
+        """Write the network as an ``.npz`` of plain arrays.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        Returns
+        -------
+        Path
+            The file; ``.npz`` is added where the name has no suffix.
+        """
+        return save_policy(path, "network", self.arrays(), self.about)
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Give what is saved, by name."""
+        layers = {f"weight{i}": weight for i, weight in enumerate(self.weights)}
+        layers |= {f"bias{i}": bias for i, bias in enumerate(self.biases)}
+        return layers | {"activation": np.array(self.activation), "squash": np.array(self.squash)}
+
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        activation: npt.NDArray[Any],
+        squash: npt.NDArray[Any],
+        about: Mapping[str, Any],
+        **layers: npt.NDArray[Any],
+    ) -> Network:
+        """Build a network from what :meth:`arrays` gave."""
+        k = len(layers) // 2
+        names = [f"{kind}{i}" for kind in ("weight", "bias") for i in range(k)]
+        if set(layers) != set(names):
+            raise ValueError(f"expected arrays {', '.join(names)}; got {', '.join(sorted(layers))}")
+        weights, biases = [layers[name] for name in names[:k]], [layers[name] for name in names[k:]]
+        return cls(weights, biases, activation=str(activation), squash=str(squash), about=about)
+
+
+class MLPPolicy:
+    r"""A network on scaled states, :math:`u = F\,\pi(o(y))`, held for a period of its own.
+
+    Where the network has one input more than :func:`rl.shaping.observe` gives for a state, it also sees its own last
+    action.
+
+    Parameters
+    ----------
+    network : Network
+        :math:`\pi`; eight or nine inputs, one output.
+    scales : array_like (4,)
+        What :func:`rl.shaping.observe` divides position, velocity and both rates by.
+    force_limit : float
+        :math:`F`, N.
+    period : float
+        How long a force is held, s; on a rig with a longer sample time it acts at every sample.
+    about : mapping, optional
+        Where the policy comes from, in words and numbers; saved with it.
+
+    Raises
+    ------
+    ValueError
+        If the network has other inputs or outputs, or a number is not finite and greater than zero.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        *,
+        scales: npt.ArrayLike,
+        force_limit: float,
+        period: float,
+        about: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.about = dict(network.about if about is None else about)
+        self.network = network
+        self.scales = _vector("scales", scales, 4)
+        for name, value in (("scales", self.scales), ("force_limit", force_limit), ("period", period)):
+            if not (np.isfinite(value) & (np.asarray(value) > 0)).all():
+                raise ValueError(f"{name} must be finite and greater than 0; got {value!r}.")
+        self.force_limit = float(force_limit)
+        self.period = float(period)
+        if network.inputs not in (8, 9) or network.outputs != 1:
+            raise ValueError(
+                f"The network must have 8 inputs, or 9 with its last action, and 1 output; "
+                f"got {network.inputs} and {network.outputs}."
             )
-        return path
+        self.name = str(self.about.get("name", "network"))
+
+    def __repr__(self) -> str:
+        return f"<{self.name}, {self.network!r}, seed {self.about.get('seed')}>"
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Give the law for ``n`` runs."""
+        network, scales, force_limit, period = self.network, self.scales, self.force_limit, self.period
+        recalls = network.inputs == 9
+        last = np.zeros(n)
+        due = -np.inf
+
+        def act(t: float, y: Array) -> Array:
+            nonlocal last, due
+            if t > due:
+                last = network(observe(y, scales, last if recalls else None))[:, 0]
+                due = t + period * (1 - 1e-6)
+            return force_limit * last
+
+        return act
+
+    def save(self, path: str | Path) -> Path:
+        """Write the policy as an ``.npz`` of plain arrays.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        Returns
+        -------
+        Path
+            The file; ``.npz`` is added where the name has no suffix.
+        """
+        arrays = self.network.arrays() | {
+            "scales": self.scales,
+            "force_limit": np.array(self.force_limit),
+            "period": np.array(self.period),
+        }
+        return save_policy(path, "mlp", arrays, self.about)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        scales: npt.NDArray[Any],
+        force_limit: npt.NDArray[Any],
+        period: npt.NDArray[Any],
+        about: Mapping[str, Any],
+        **network: npt.NDArray[Any],
+    ) -> MLPPolicy:
+        """Build a policy from what :meth:`save` wrote."""
+        net = Network.from_arrays(about=about, **network)
+        return cls(net, scales=scales, force_limit=float(force_limit), period=float(period), about=about)
 
 
-def load_policy(path: str | Path) -> LinearQPolicy:
-    """Read a saved policy; nothing in the file can run code.
+Policy = LinearQPolicy | MLPPolicy | Network
+
+_KINDS: Mapping[str, Callable[..., Policy]] = MappingProxyType(
+    {
+        "linear Q": LinearQPolicy,
+        "mlp": MLPPolicy.from_arrays,
+        "network": Network.from_arrays,
+    }
+)
+"""What builds each kind of policy from its arrays by name, and from ``about``."""
+
+
+def save_policy(path: str | Path, kind: str, arrays: Mapping[str, npt.NDArray[Any]], about: Mapping[str, Any]) -> Path:
+    """Write a policy as an ``.npz`` of plain arrays with a checksum over all of them, at once or not at all.
 
     Parameters
     ----------
     path : str or Path
         The file.
+    kind : str
+        What builds it again; one of those that :func:`load_policy` knows.
+    arrays : mapping
+        Arrays by name, none of objects.
+    about : mapping
+        Where the policy comes from, in words and numbers.
 
     Returns
     -------
-    LinearQPolicy
+    Path
+        The file; ``.npz`` is added where the name has no suffix.
+    """
+    path = Path(path)
+    if not path.suffix:
+        path = path.with_suffix(".npz")
+    stored = dict(arrays) | {
+        "format": np.array(_FORMAT),
+        "kind": np.array(kind),
+        "about": np.array(json.dumps(dict(about), default=str)),
+    }
+    part = path.with_name(f".{path.name}.part")
+    with part.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, checksum=np.array(_checksum(stored)), **stored)
+    part.replace(path)
+    return path
+
+
+def load_policy(policy: str | Path) -> Policy:
+    """Read a saved policy; nothing in the file can run code.
+
+    Parameters
+    ----------
+    policy : str or Path
+        The file, or the name of a policy that is shipped with the package: a file of ``rl/trained`` without its suffix.
+
+    Returns
+    -------
+    LinearQPolicy, MLPPolicy or Network
 
     Raises
     ------
     FileNotFoundError
-        If there is no such file.
+        If there is neither such a file nor such a name.
     ValueError
-        If the file is not a saved policy.
+        If the file is not a saved policy, or is damaged.
     """
+    path = Path(policy)
+    if isinstance(policy, str) and path.name == policy and not path.suffix and not path.exists():
+        path = _TRAINED / f"{policy}.npz"
+        if not path.exists():
+            known = [file.stem for file in _TRAINED.glob("*.npz")]
+            raise FileNotFoundError(f"There is no file and no shipped policy {policy!r}.{suggestion(policy, known)}")
     try:
-        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            if str(file["format"]) != _FORMAT or str(file["kind"]) != "linear Q":
-                raise ValueError("another format")
-            about = json.loads(str(file["about"]))
-            return LinearQPolicy(file["weights"], file["scales"], file["forces"], about=about)
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        if str(arrays.pop("format")) != _FORMAT:
+            raise ValueError("another format")
+        if str(arrays.pop("checksum")) != _checksum(arrays | {"format": np.array(_FORMAT)}):
+            raise ValueError("its checksum does not match what it holds")
+        kind = str(arrays.pop("kind"))
+        if kind not in _KINDS:
+            raise ValueError(f"an unknown kind of policy, {kind!r}")
+        return _KINDS[kind](about=json.loads(str(arrays.pop("about"))), **arrays)
     except FileNotFoundError:
         raise
     except Exception as error:
         raise ValueError(f"{path} is not a policy saved by dpend ({error}).") from error
+
+
+def _checksum(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
+    """Hash names, types, shapes and contents of arrays."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name}\0{array.dtype.str}\0{array.shape}\0".encode() + array.tobytes())
+    return digest.hexdigest()
 
 
 def _vector(name: str, value: npt.ArrayLike, length: int | None) -> Array:

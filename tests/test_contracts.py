@@ -19,7 +19,14 @@ from controllers import EKF, LQR, BangBang, Catch, Constant, EnergyPump, LowPass
 from dpend import Controller, Rig
 from dpend.controller import check_controller, is_batched
 from dpend.params import Array
-from rl import LinearQPolicy
+from rl import LinearQPolicy, MLPPolicy, Network
+
+
+def random_network() -> Network:
+    """Give a small network that sees a state and its own last action."""
+    rng = np.random.default_rng(0)
+    return Network([rng.normal(size=(16, 9)), rng.normal(size=(1, 16))], [rng.normal(size=16), [0.1]])
+
 
 # What cannot be built from a rig alone; every other class with a method `start` must be.
 RECIPES: dict[str, Callable[[Rig], Any]] = {
@@ -29,6 +36,9 @@ RECIPES: dict[str, Callable[[Rig], Any]] = {
     "LowPass": lambda rig: LowPass(rig, LQR(rig), frequency=20.0),
     "RateLimit": lambda rig: RateLimit(rig, LQR(rig), 500.0),
     "LinearQPolicy": lambda rig: LinearQPolicy(np.linspace(-1, 1, 18), np.ones(18), (0.0, -4.0, 4.0)),
+    "MLPPolicy": lambda rig: MLPPolicy(
+        random_network(), scales=np.ones(4), force_limit=min(float(np.max(rig.force_limit)), 50.0), period=0.03
+    ),
     "WithEstimator": lambda rig: WithEstimator(EKF(rig), LQR(rig)),
 }
 NAMES = sorted(
