@@ -1,6 +1,23 @@
 """Learners for the inverted double pendulum on a cart."""
 
+from .gaussian_qac import Deviations, GaussianQAC, QACTraining
 from .linear_q import LinearQLearning, Outcome, Training
-from .policies import LinearQPolicy, MLPPolicy, Network, load_policy
+from .lspi import LSPI, LSPITraining, QuadraticQLearning
+from .policies import GainPolicy, LinearQPolicy, MLPPolicy, Network, load_policy
 
-__all__ = ["LinearQLearning", "LinearQPolicy", "MLPPolicy", "Network", "Outcome", "Training", "load_policy"]
+__all__ = [
+    "LSPI",
+    "Deviations",
+    "GainPolicy",
+    "GaussianQAC",
+    "LSPITraining",
+    "LinearQLearning",
+    "LinearQPolicy",
+    "MLPPolicy",
+    "Network",
+    "Outcome",
+    "QACTraining",
+    "QuadraticQLearning",
+    "Training",
+    "load_policy",
+]

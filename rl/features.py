@@ -1,9 +1,15 @@
-r"""The report's Table 1: eighteen features, each constant or linear in the action.
+r"""Two families of features of state and action: the report's Table 1, and all products of two.
+
+Table 1 has eighteen features, each constant or linear in the action,
 
 .. math:: x(s, a) = (\varphi_1(s), \dots, \varphi_{12}(s),\; a\,\psi_1(s), \dots, a\,\psi_6(s))
 
 so that :math:`\hat q(s, a) = x(s, a)^\top w = c(s) + a\,g(s)` is a straight line over the actions, and its greatest
 value is always at an end of the action set.  That is why every controller learned with these features is bang-bang.
+
+The quadratic family has the products :math:`z_i z_j` of :math:`z = (s, a)`, so that :math:`\hat q(s, a) = z^\top H z` is
+a parabola over the actions; where :math:`H_{aa}` has the right sign its best action is
+:math:`-H_{aa}^{-1} H_{as}\,s`, linear in the state and so smooth.
 
 Source: *Control of Inverted Double Pendulum using Reinforcement Learning*, Table 1; the odd ones, which the surviving
 text lacks, follow from the pattern and from the code published with it.
@@ -11,7 +17,10 @@ text lacks, follow from the pattern and from the code published with it.
 
 from __future__ import annotations
 
-from dpend.state import wrap_angle
+import numpy as np
+
+from dpend.params import Array
+from dpend.state import NAMES, wrap_angle
 
 TABLE1 = (
     "|pos|",
@@ -65,3 +74,31 @@ def slope_features(x):
     r"""Give :math:`\psi(s)`, the six factors of the action, for a state that unpacks to six numbers."""
     pos, th1, th2, vel, om1, om2 = x
     return pos, vel, th1, om1, th2, om2
+
+
+QUADRATIC = tuple(f"{first} {second}" for i, first in enumerate((*NAMES, "a")) for second in (*NAMES, "a")[i:])
+"""Names of the 28 products of two of the seven variables of state and action, in the order of an upper triangle."""
+
+
+def quadratic_features(z: Array) -> Array:
+    r"""Give the products :math:`z_i z_j`, :math:`i \le j`, of vectors ``(..., k)``: ``(..., k (k + 1) / 2)`` numbers."""
+    i, j = np.triu_indices(z.shape[-1])
+    return z[..., i] * z[..., j]
+
+
+def quadratic_form(w: Array) -> Array:
+    r"""Give the symmetric :math:`H` with :math:`z^\top H z = w^\top x(z)` over the quadratic features.
+
+    Parameters
+    ----------
+    w : ndarray (k (k + 1) / 2,)
+        Weights of the products, in the order of an upper triangle.
+
+    Returns
+    -------
+    ndarray (k, k)
+    """
+    k = round((np.sqrt(8 * len(w) + 1) - 1) / 2)
+    H = np.zeros((k, k))
+    H[np.triu_indices(k)] = 0.5 * np.asarray(w)
+    return H + H.T

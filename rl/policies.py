@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from dpend.controller import Act
 from dpend.params import Array
+from dpend.state import nearest_upright
 from dpend.suggest import suggestion
 
 from .features import TABLE1, slope_features
@@ -86,6 +87,53 @@ class LinearQPolicy:
         """
         arrays = {"weights": self.weights, "scales": self.scales, "forces": self.forces}
         return save_policy(path, "linear Q", arrays, self.about)
+
+
+class GainPolicy:
+    r"""Law :math:`u = -K x`, with angles taken to the nearest whole turn; the rig saturates it.
+
+    Parameters
+    ----------
+    K : array_like (6,)
+        Gain, N per unit of each state.
+    about : mapping, optional
+        Where the gain comes from, in words and numbers; saved with it.
+
+    Raises
+    ------
+    ValueError
+        If the gain has another shape or a number is not finite.
+    """
+
+    name = "learned gain"
+
+    def __init__(self, K: npt.ArrayLike, *, about: Mapping[str, Any] | None = None) -> None:
+        self.about = dict(about or {})
+        self.K = _vector("K", K, 6)
+
+    def __repr__(self) -> str:
+        return f"<{self.name}, K = {np.array2string(self.K, precision=4, separator=', ')}>"
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Give the law for ``n`` runs."""
+        K = self.K
+        # A matrix product would round a row differently in batches of different size.
+        return lambda t, y: -np.einsum("ij,j->i", nearest_upright(y), K)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the policy as an ``.npz`` of plain arrays.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        Returns
+        -------
+        Path
+            The file; ``.npz`` is added where the name has no suffix.
+        """
+        return save_policy(path, "gain", {"K": self.K}, self.about)
 
 
 _ACTIVATIONS: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
@@ -311,11 +359,12 @@ class MLPPolicy:
         return cls(net, scales=scales, force_limit=float(force_limit), period=float(period), about=about)
 
 
-Policy = LinearQPolicy | MLPPolicy | Network
+Policy = LinearQPolicy | GainPolicy | MLPPolicy | Network
 
 _KINDS: Mapping[str, Callable[..., Policy]] = MappingProxyType(
     {
         "linear Q": LinearQPolicy,
+        "gain": GainPolicy,
         "mlp": MLPPolicy.from_arrays,
         "network": Network.from_arrays,
     }

@@ -1,0 +1,542 @@
+r"""Q-learning with quadratic features: least-squares policy iteration, and one step at a time.
+
+Over the products of :math:`z = (s, a)` the action-value function of a cost is a quadratic form,
+
+.. math:: \hat q(s, a) = z^\top H z, \qquad \arg\min_a \hat q(s, a) = -K s, \qquad K = H_{aa}^{-1} H_{as},
+
+which is the form that the value of linear feedback under a quadratic cost
+:math:`c(s, a) = s^\top Q s + R a^2` has on a linear plant.  So what is learned is a gain, smooth where Table 1 of the
+report is bang-bang, and on a linear plant the one that the Riccati equation gives for
+:math:`\sqrt\gamma A, \sqrt\gamma B`.
+
+Sources: S. Bradtke, *Incremental dynamic programming for on-line adaptive optimal control*, 1994; M. Lagoudakis and
+R. Parr, *Least-squares policy iteration*, 2003.  ``docs/lspi.md`` tells what it takes on an unstable plant.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba.np.unsafe.ndarray import to_fixed_tuple
+
+from dpend.kernels import compiled, sample
+from dpend.params import Array, Coefficients
+from dpend.provenance import versions
+from dpend.rig import Rig
+from dpend.suggest import suggests
+
+from .features import QUADRATIC, quadratic_features, quadratic_form
+from .policies import GainPolicy
+
+_STREAM = (2003,)  # sets learning apart from starts drawn with the same seed
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LSPITraining:
+    """What a training of a gain gave, and what it cost.
+
+    Attributes
+    ----------
+    K : ndarray (6,)
+        The gain as it ended, N per unit of each state.
+    gains : ndarray (m, 6)
+        The gain after each update that was recorded.
+    samples : ndarray (m,)
+        Samples of experience up to each of them.
+    experience : float
+        All experience, s of the plant's time.
+    episodes : int
+        Episodes begun.
+    policy : GainPolicy
+        The law :math:`u = -Kx`.
+    seconds : float
+        Wall time.
+    """
+
+    K: Array
+    gains: Array
+    samples: npt.NDArray[np.int64]
+    experience: float
+    episodes: int
+    policy: GainPolicy
+    seconds: float
+
+    def errors(self, K: npt.ArrayLike) -> Array:
+        r"""Give :math:`\|K_i - K\| / \|K\|` of the recorded gains against another gain.
+
+        Parameters
+        ----------
+        K : array_like (6,) or (1, 6)
+            The gain to compare with.
+
+        Returns
+        -------
+        ndarray (m,)
+        """
+        reference = np.asarray(K, dtype=np.float64).reshape(6)
+        return np.linalg.norm(self.gains - reference, axis=1) / np.linalg.norm(reference)
+
+
+def fit_q(z: Array, costs: Array, z_next: Array, gamma: float) -> Array:
+    r"""Give :math:`H` of :math:`\hat q = z^\top H z` by LSTD-Q, :math:`\sum x (x - \gamma x')^\top w = \sum x\,c`.
+
+    Parameters
+    ----------
+    z : ndarray (n, k)
+        States and the action taken, the action last.
+    costs : ndarray (n,)
+        Cost of each.
+    z_next : ndarray (n, k)
+        The states that followed, and the action that the policy to be valued would take there.
+    gamma : float
+        Discount factor.
+
+    Returns
+    -------
+    ndarray (k, k)
+        Symmetric.
+    """
+    scales = 1.0 / np.sqrt(np.mean(z**2, axis=0) + 1e-12)  # products of raw states span ten decades
+    x, x_next = quadratic_features(z * scales), quadratic_features(z_next * scales)
+    w = np.linalg.lstsq(x.T @ (x - gamma * x_next), x.T @ costs, rcond=None)[0]
+    return quadratic_form(w) * np.outer(scales, scales)
+
+
+def greedy_gain(H: Array) -> Array | None:
+    r"""Give :math:`K = H_{aa}^{-1} H_{as}`, the gain of least :math:`z^\top H z`; None where there is no least.
+
+    Parameters
+    ----------
+    H : ndarray (k, k)
+        Symmetric, the action last.
+
+    Returns
+    -------
+    ndarray (k - 1,) or None
+    """
+    if not (np.isfinite(H).all() and H[-1, -1] > 0):
+        return None
+    return H[-1, :-1] / H[-1, -1]
+
+
+@suggests
+@dataclass(frozen=True, kw_only=True)
+class LSPI:
+    r"""Least-squares policy iteration on a rig: from :math:`K = 0`, without a model, to a gain.
+
+    In every iteration the policy of the moment acts, with noise on its force; LSTD-Q values it on the latest samples;
+    the gain moves towards the greedy one.  The discount factor grows from a small one: with a short horizon the value
+    of a policy that does not stabilise the plant is finite, and so is the first improvement.
+
+    Parameters
+    ----------
+    rig : Rig
+        An ideal one: no noise, delay or lag.
+    state_weights : sequence of 6 floats
+        Diagonal of :math:`Q`, at least zero.
+    force_weight : float
+        :math:`R`, greater than zero.
+    gamma : float
+        Discount factor at the end.
+    gamma_start : float
+        Discount factor of the first iteration.
+    anneal : int
+        Iterations over which the discount factor grows, in equal steps.
+    iterations : int
+        Policy iterations.
+    samples : int
+        Samples in each.
+    keep : int
+        Latest samples that LSTD-Q uses, those of earlier policies among them.
+    step : float
+        Part of the way to the greedy gain that an iteration goes, above 0 and at most 1.
+    noise : float
+        Standard deviation of the exploring force, N.
+    lam : float
+        Spread of the starting angles, :math:`U[-\lambda, \lambda]`, rad.
+    angle_cut : float
+        An episode is cut where a link leans more, rad.  Not a failure: its last sample is a sample like any other.
+    episode_steps : int
+        An episode is cut after so many samples, too.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the rig is not ideal.
+    """
+
+    rig: Rig = field(kw_only=False)
+    state_weights: Sequence[float] = (1.0, 10.0, 10.0, 1.0, 1.0, 1.0)
+    force_weight: float = 0.1
+    gamma: float = 0.99
+    gamma_start: float = 0.6
+    anneal: int = 50
+    iterations: int = 60
+    samples: int = 100
+    keep: int = 300
+    step: float = 0.5
+    noise: float = 2.0
+    lam: float = 0.02
+    angle_cut: float = 0.1
+    episode_steps: int = 100
+
+    def __post_init__(self) -> None:
+        _check(self, ("iterations", "samples", "keep", "anneal"))
+        if not 0 < self.step <= 1:
+            raise ValueError(f"step must be above 0 and at most 1; got {self.step!r}.")
+        if self.keep < len(QUADRATIC):
+            raise ValueError(f"keep must be at least {len(QUADRATIC)}, the number of features; got {self.keep!r}.")
+
+    def train(self, seed: int | Sequence[int]) -> LSPITraining:
+        """Learn from zero gain.
+
+        Parameters
+        ----------
+        seed : int or sequence of int
+            What starts and exploration are drawn from.
+
+        Returns
+        -------
+        LSPITraining
+        """
+        began = time.perf_counter()
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
+        exercise, coefficients = _exercise(self), np.array(self.rig.params.coefficients(), dtype=np.float64)
+        Q, R = np.asarray(self.state_weights, dtype=np.float64), float(self.force_weight)
+        K, gains = np.zeros(6), np.zeros((self.iterations, 6))
+        state, clock = np.zeros(6), np.zeros(2, dtype=np.int64)
+        z, following = np.zeros((0, 7)), np.zeros((0, 6))
+        for iteration in range(self.iterations):
+            new, after = np.zeros((self.samples, 7)), np.zeros((self.samples, 6))
+            _practise(K, exercise, coefficients, rng, state, clock, new, after)
+            z, following = np.vstack([z, new])[-self.keep :], np.vstack([following, after])[-self.keep :]
+            grown = min(1.0, iteration / self.anneal)
+            gamma = self.gamma_start + (self.gamma - self.gamma_start) * grown
+            costs = z[:, :6] ** 2 @ Q + R * z[:, 6] ** 2
+            greedy = greedy_gain(fit_q(z, costs, np.column_stack([following, -following @ K]), gamma))
+            if greedy is not None:
+                K = K + self.step * (greedy - K)
+            gains[iteration] = K
+        return _training(self, seed, gains, self.samples * np.arange(1, self.iterations + 1), int(clock[1]), began)
+
+
+@suggests
+@dataclass(frozen=True, kw_only=True)
+class QuadraticQLearning:
+    r"""One-step Q-learning with the quadratic features, in the costs, starts and cuts of :class:`LSPI`.
+
+    Every sample does, for features :math:`x` of scaled variables,
+
+    .. math::
+        \delta = c + \gamma \min_{a'} \hat q(s', a') - \hat q(s, a), \qquad
+        w \leftarrow w + \alpha\,\delta\,x(s, a) / (\epsilon + \|x(s, a)\|^2).
+
+    Learning begins at :math:`\hat q(s, a) = R a^2`, whose greedy action is none.  Where :math:`\hat q` has no least
+    action, the force of least :math:`\hat q` within the rig's limit, or ``force_bound``, is taken.
+
+    Parameters
+    ----------
+    rig : Rig
+        An ideal one: no noise, delay or lag.
+    state_weights : sequence of 6 floats
+        Diagonal of :math:`Q`, at least zero.
+    force_weight : float
+        :math:`R`, greater than zero.
+    gamma : float
+        Discount factor at the end.
+    gamma_start : float
+        Discount factor at the beginning.
+    anneal : int
+        Samples over which the discount factor grows, in equal steps.
+    samples : int
+        Samples of experience.
+    alpha : float
+        Step size, above 0 and below 2.
+    epsilon : float
+        What keeps the division bounded near rest.
+    scales : sequence of 7 floats
+        Size of each state and of the action, by which it is divided.
+    force_bound : float
+        Largest greedy force, N, where the rig's own limit is larger.
+    noise : float
+        Standard deviation of the exploring force, N.
+    lam : float
+        Spread of the starting angles, :math:`U[-\lambda, \lambda]`, rad.
+    angle_cut : float
+        An episode is cut where a link leans more, rad.
+    episode_steps : int
+        An episode is cut after so many samples, too.
+    record_every : int
+        Samples between two recorded gains.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the rig is not ideal.
+    """
+
+    rig: Rig = field(kw_only=False)
+    state_weights: Sequence[float] = (1.0, 10.0, 10.0, 1.0, 1.0, 1.0)
+    force_weight: float = 0.1
+    gamma: float = 0.99
+    gamma_start: float = 0.6
+    anneal: int = 5000
+    samples: int = 6000
+    alpha: float = 0.5
+    epsilon: float = 0.1
+    scales: Sequence[float] = (0.02, 0.05, 0.05, 0.1, 0.15, 0.15, 4.0)
+    force_bound: float = 40.0
+    noise: float = 2.0
+    lam: float = 0.02
+    angle_cut: float = 0.1
+    episode_steps: int = 100
+    record_every: int = 100
+
+    def __post_init__(self) -> None:
+        _check(self, ("samples", "anneal", "record_every"))
+        if not 0 < self.alpha < 2:
+            raise ValueError(f"alpha must be above 0 and below 2; got {self.alpha!r}.")
+        if not (math.isfinite(self.epsilon) and self.epsilon > 0):
+            raise ValueError(f"epsilon must be finite and greater than 0; got {self.epsilon!r}.")
+        if len(self.scales) != 7 or not all(math.isfinite(scale) and scale > 0 for scale in self.scales):
+            raise ValueError(f"scales must be 7 finite numbers greater than 0; got {self.scales!r}.")
+        if not (math.isfinite(self.force_bound) and self.force_bound > 0):
+            raise ValueError(f"force_bound must be finite and greater than 0; got {self.force_bound!r}.")
+
+    def train(self, seed: int | Sequence[int]) -> LSPITraining:
+        """Learn from zero gain.
+
+        Parameters
+        ----------
+        seed : int or sequence of int
+            What starts and exploration are drawn from.
+
+        Returns
+        -------
+        LSPITraining
+            Recorded gains are those of the least :math:`\\hat q`, and zero where it has no least.
+        """
+        began = time.perf_counter()
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
+        exercise, coefficients = _exercise(self), np.array(self.rig.params.coefficients(), dtype=np.float64)
+        scales = np.asarray(self.scales, dtype=np.float64)
+        costs = np.append(self.state_weights, self.force_weight).astype(np.float64)
+        settings = _Steps(
+            alpha=float(self.alpha),
+            epsilon=float(self.epsilon),
+            gamma=float(self.gamma),
+            gamma_start=float(self.gamma_start),
+            anneal=int(self.anneal),
+            bound=min(float(self.force_bound), exercise.force_limit),
+        )
+        w = np.zeros(len(QUADRATIC))
+        w[-1] = self.force_weight * scales[6] ** 2
+        updates = range(self.record_every, self.samples + 1, self.record_every)
+        gains = np.zeros((max(len(updates), 1), 6))
+        state, clock = np.zeros(6), np.zeros(2, dtype=np.int64)
+        done = 0
+        for row, end in enumerate(updates or (self.samples,)):
+            _learn_steps(w, scales, costs, settings, exercise, coefficients, rng, state, clock, done, end)
+            done = end
+            greedy = greedy_gain(quadratic_form(w) / np.outer(scales, scales))
+            gains[row] = 0.0 if greedy is None else greedy
+        samples = np.asarray(list(updates) or [self.samples])
+        return _training(self, seed, gains, samples, int(clock[1]), began)
+
+
+def _training(
+    learner: LSPI | QuadraticQLearning,
+    seed: int | Sequence[int],
+    gains: Array,
+    samples: npt.NDArray[np.int64],
+    episodes: int,
+    began: float,
+) -> LSPITraining:
+    about = {
+        "learner": repr(learner),
+        "seed": seed if isinstance(seed, int) else list(seed),
+        "samples": int(samples[-1]),
+        "versions": versions(),
+    }
+    K = gains[-1].copy()
+    return LSPITraining(
+        K=K,
+        gains=gains,
+        samples=samples,
+        experience=float(samples[-1] * learner.rig.sample_time),
+        episodes=episodes,
+        policy=GainPolicy(K, about=about),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _check(learner: LSPI | QuadraticQLearning, whole: tuple[str, ...]) -> None:
+    """Refuse settings that make no sense, before anything runs."""
+    kind, rig = type(learner).__name__, learner.rig
+    if not isinstance(rig, Rig):
+        raise TypeError(f"rig must be a dpend.Rig, such as dpend.rig('gustafsson2016'); got {rig!r}.")
+    if rig.n is not None:
+        raise ValueError(f"{kind} trains on one plant; got a rig of {rig.n} rows.")
+    if not rig.ideal:
+        raise ValueError(
+            f"{kind} trains on ideal rigs; got one with lag, delay, noise or rounding. "
+            "Train on the ideal rig, then simulate the policy on this one."
+        )
+    for name in (*whole, "episode_steps"):
+        value: Any = getattr(learner, name)
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise ValueError(f"{name} must be a whole number, at least 1; got {value!r}.")
+    weights = learner.state_weights
+    if len(weights) != 6 or not all(math.isfinite(weight) and weight >= 0 for weight in weights):
+        raise ValueError(f"state_weights must be 6 finite numbers, at least 0; got {weights!r}.")
+    for name, good, wanted in (
+        ("force_weight", 0 < learner.force_weight < math.inf, "finite and greater than 0"),
+        ("gamma", 0 < learner.gamma <= 1, "above 0 and at most 1"),
+        ("gamma_start", 0 < learner.gamma_start <= 1, "above 0 and at most 1"),
+        ("noise", 0 < learner.noise < math.inf, "finite and greater than 0"),
+        ("lam", 0 < learner.lam <= math.pi / 2, "above 0 and at most pi/2"),
+        ("angle_cut", 0 < learner.angle_cut <= math.pi / 2, "above 0 and at most pi/2"),
+    ):
+        if not good:
+            raise ValueError(f"{name} must be {wanted}; got {getattr(learner, name)!r}.")
+
+
+class _Exercise(NamedTuple):
+    """How the compiled loops practise: starts, cuts, exploration, plant."""
+
+    noise: float
+    lam: float
+    angle_cut: float
+    steps: int
+    force_limit: float
+    track_limit: float
+    substep: float
+    substeps: int
+
+
+class _Steps(NamedTuple):
+    """What one-step Q-learning needs beside that."""
+
+    alpha: float
+    epsilon: float
+    gamma: float
+    gamma_start: float
+    anneal: int
+    bound: float
+
+
+def _exercise(learner: LSPI | QuadraticQLearning) -> _Exercise:
+    rig = learner.rig
+    return _Exercise(
+        noise=float(learner.noise),
+        lam=float(learner.lam),
+        angle_cut=float(learner.angle_cut),
+        steps=int(learner.episode_steps),
+        force_limit=float(rig.force_limit),
+        track_limit=float(rig.track_limit),
+        substep=rig.sample_time / rig.substeps,
+        substeps=rig.substeps,
+    )
+
+
+_FIELDS = len(Coefficients._fields)
+
+
+@compiled
+def _practise(K, exercise, coefficients, rng, state, clock, z, following):
+    """Take samples under -Kx and noise; episodes go on from call to call in ``state``, their age and number in ``clock``.
+
+    Fills in states with the force that acted, and the states that followed.
+    """
+    e = exercise
+    c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]
+    x = (state[0], state[1], state[2], state[3], state[4], state[5])
+    for k in range(len(z)):
+        if clock[0] == 0:
+            x = (0.0, e.lam * rng.uniform(-1.0, 1.0), e.lam * rng.uniform(-1.0, 1.0), 0.0, 0.0, 0.0)
+            clock[1] += 1
+        a = e.noise * rng.standard_normal()
+        for i in range(6):
+            a -= K[i] * x[i]
+            z[k, i] = x[i]
+        a = min(max(a, -e.force_limit), e.force_limit)
+        z[k, 6] = a
+        x = sample(x, (a, 0.0, 0.0), c, e.substep, e.substeps)
+        for i in range(6):
+            following[k, i] = x[i]
+        clock[0] += 1
+        inside = abs(x[0]) <= e.track_limit and abs(x[1]) <= e.angle_cut and abs(x[2]) <= e.angle_cut
+        if not inside or clock[0] >= e.steps:
+            clock[0] = 0
+    for i in range(6):
+        state[i] = x[i]
+
+
+@compiled
+def _best_force(w, s, unit, bound):
+    """Give the force of least q within a bound, for scaled states ``s`` and the unit of force, and half q's slope at 0."""
+    b = 0.0
+    k = 6
+    for i in range(6):  # the product with the action ends each row of the upper triangle
+        b += 0.5 * w[k] * s[i]
+        k += 6 - i
+    curvature = w[27]
+    if curvature > 0.0:
+        return min(max(-b / curvature * unit, -bound), bound)
+    return -bound if b > 0.0 else bound
+
+
+@compiled
+def _learn_steps(w, scales, costs, steps, exercise, coefficients, rng, state, clock, begin, end):
+    """Do one-step Q-learning on the samples from ``begin`` to ``end``, changing ``w`` in place; stop before overflow."""
+    e, q = exercise, steps
+    c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]
+    x = (state[0], state[1], state[2], state[3], state[4], state[5])
+    s, features = np.empty(7), np.empty(28)
+    for t in range(begin, end):
+        if clock[0] == 0:
+            x = (0.0, e.lam * rng.uniform(-1.0, 1.0), e.lam * rng.uniform(-1.0, 1.0), 0.0, 0.0, 0.0)
+            clock[1] += 1
+        for i in range(6):
+            s[i] = x[i] / scales[i]
+        a = _best_force(w, s, scales[6], q.bound) + e.noise * rng.standard_normal()
+        a = min(max(a, -e.force_limit), e.force_limit)
+        s[6] = a / scales[6]
+        cost = costs[6] * a * a
+        for i in range(6):
+            cost += costs[i] * x[i] * x[i]
+        value, norm, k = 0.0, q.epsilon, 0
+        for i in range(7):
+            for j in range(i, 7):
+                features[k] = s[i] * s[j]
+                value += w[k] * features[k]
+                norm += features[k] * features[k]
+                k += 1
+
+        x = sample(x, (a, 0.0, 0.0), c, e.substep, e.substeps)
+        for i in range(6):
+            s[i] = x[i] / scales[i]
+        s[6] = _best_force(w, s, scales[6], q.bound) / scales[6]
+        least, k = 0.0, 0
+        for i in range(7):
+            for j in range(i, 7):
+                least += w[k] * s[i] * s[j]
+                k += 1
+        gamma = q.gamma_start + (q.gamma - q.gamma_start) * min(1.0, t / q.anneal)
+        change = q.alpha * (cost + gamma * least - value) / norm
+        if not abs(change) < 1e100:
+            break
+        for k in range(28):
+            w[k] += change * features[k]
+        clock[0] += 1
+        inside = abs(x[0]) <= e.track_limit and abs(x[1]) <= e.angle_cut and abs(x[2]) <= e.angle_cut
+        if not inside or clock[0] >= e.steps:
+            clock[0] = 0
+    for i in range(6):
+        state[i] = x[i]
