@@ -7,9 +7,9 @@ Table 1 has eighteen features, each constant or linear in the action,
 so that :math:`\hat q(s, a) = x(s, a)^\top w = c(s) + a\,g(s)` is a straight line over the actions, and its greatest
 value is always at an end of the action set.  That is why every controller learned with these features is bang-bang.
 
-The quadratic family has the products :math:`z_i z_j` of :math:`z = (s, a)`, so that :math:`\hat q(s, a) = z^\top H z` is
-a parabola over the actions; where :math:`H_{aa}` has the right sign its best action is
-:math:`-H_{aa}^{-1} H_{as}\,s`, linear in the state and so smooth.
+The quadratic family has the products :math:`z_i z_j` of :math:`z = (s, a)`, so that
+:math:`\hat q(s, a) = z^\top H z` is a parabola over the actions; where :math:`H_{aa}` has the right sign its best
+action is :math:`-H_{aa}^{-1} H_{as}\,s`, linear in the state and so smooth.
 
 Source: *Control of Inverted Double Pendulum using Reinforcement Learning*, Table 1; the odd ones, which the surviving
 text lacks, follow from the pattern and from the code published with it.
@@ -81,7 +81,7 @@ QUADRATIC = tuple(f"{first} {second}" for i, first in enumerate((*NAMES, "a")) f
 
 
 def quadratic_features(z: Array) -> Array:
-    r"""Give the products :math:`z_i z_j`, :math:`i \le j`, of vectors ``(..., k)``: ``(..., k (k + 1) / 2)`` numbers."""
+    r"""Give the products :math:`z_i z_j`, :math:`i \le j`, of vectors: ``(..., k)`` to ``(..., k (k + 1) / 2)``."""
     i, j = np.triu_indices(z.shape[-1])
     return z[..., i] * z[..., j]
 

@@ -1,7 +1,7 @@
 r"""Gaussian QAC, the report's Algorithm 2: an actor-critic with a Gaussian policy, as published and tuned.
 
-The actor draws :math:`a \sim \mathcal N(\varphi(s)^\top v, \sigma^2)`, the critic is :math:`\hat q(s, a) = x(s, a)^\top w`,
-and every step does
+The actor draws :math:`a \sim \mathcal N(\varphi(s)^\top v, \sigma^2)`, the critic is
+:math:`\hat q(s, a) = x(s, a)^\top w`, and every step does
 
 .. math::
     v \leftarrow v + \alpha \frac{(a_t - \mu(s_t))\,\varphi(s_t)}{\sigma^2}\,\hat q(s_t, a_t), \qquad
@@ -63,12 +63,7 @@ class TableOneMean:
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Give the law for ``n`` runs."""
         value_features, v, indicators = features.make_value_features(), self.v, self.indicators
-
-        def act(t: float, y: Array) -> Array:
-            phi = [*value_features(y.T), *_indicators(y, indicators)]
-            return np.einsum("i,ij->j", v, np.stack(phi))
-
-        return act
+        return lambda t, y: np.einsum("i,ij->j", v, np.stack([*value_features(y.T), *_indicators(y, indicators)]))
 
 
 def _indicators(y: Array, indicators: str) -> list[Array]:
@@ -130,7 +125,7 @@ class Deviations:
     closed_form: bool = True
     natural: bool = True
     norm_cap: float = 0.218
-    gamma_start: float = 0.635
+    gamma_start: float = 0.4
     gamma_updates: float = 26.6
     angle_cut: float | None = 0.254
     bootstrap: bool = True
@@ -532,11 +527,11 @@ def _check(learner: GaussianQAC) -> None:
             "Train on the ideal rig, then simulate the policy on this one."
         )
     if learner.indicators not in INDICATORS:
-        raise ValueError(
-            f"indicators must be one of {', '.join(map(repr, INDICATORS))}; got {learner.indicators!r}."
-        )
+        raise ValueError(f"indicators must be one of {', '.join(map(repr, INDICATORS))}; got {learner.indicators!r}.")
     if learner.deviations is not None and (learner.indicators != "none" or learner.spread != 0):
-        raise ValueError("With deviations the actor has the six states and begins at zero: leave indicators and spread.")
+        raise ValueError(
+            "With deviations the actor has the six states and begins at zero: leave indicators and spread."
+        )
     for name in ("streak", "max_episodes"):
         value: Any = getattr(learner, name)
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:

@@ -29,7 +29,7 @@ from dpend.provenance import versions
 from dpend.rig import Rig
 from dpend.simulate import simulate_many
 from dpend.suggest import suggests
-from dpend.tasks import Balance, check_lam
+from dpend.tasks import Balance, SwingUp, check_lam
 
 from . import features
 from .features import CART_FEATURES, TABLE1
@@ -72,6 +72,8 @@ class Training:
         How often learning began anew from zero weights.
     lengths, rewards : ndarray (episodes,)
         Samples and total reward of each learning episode.
+    upright : ndarray (episodes,)
+        The longest time that both links were up without a break, samples; balancing counts every sample.
     seconds : float
         Wall time.
     """
@@ -84,6 +86,7 @@ class Training:
     restarts: int
     lengths: npt.NDArray[np.int64]
     rewards: Array
+    upright: npt.NDArray[np.int64]
     seconds: float
 
     @property
@@ -97,15 +100,16 @@ class Training:
 class LinearQLearning:
     r"""Algorithm 1 of the report on a rig; the defaults are the report's hyper-parameters to the letter.
 
-    Learning counts as converged after ``streak`` successful episodes in a row.  Where ``acceptance`` names tests, the
-    greedy policy must then also pass them; if it does not, learning goes on.
+    Learning counts as converged after ``streak`` successful episodes in a row.  Where ``acceptance`` names tests of
+    balancing, the greedy policy must then also pass them; if it does not, learning goes on.
 
     Parameters
     ----------
     rig : Rig
         An ideal one: no noise, delay or lag.
-    task : Balance
-        Starts, episode length, failure, and the costs whose negative is the reward.
+    task : Balance or SwingUp
+        Starts, episode length, failure, success, and the costs whose negative is the reward; a swing-up starts at rest
+        and aims at both links up.
     scales : sequence of 18 floats
         Factor of each feature of Table 1; zero leaves a feature out.
     forces : sequence of float
@@ -128,6 +132,8 @@ class LinearQLearning:
         Begin anew from zero weights where so many episodes did not converge.
     max_episodes : int
         Budget of learning episodes, restarts included.
+    spread : float
+        Standard deviation of the normal numbers that initial weights are drawn from; zero for the report's zeros.
 
     Raises
     ------
@@ -136,7 +142,7 @@ class LinearQLearning:
     """
 
     rig: Rig
-    task: Balance = Balance()  # noqa: RUF009  (frozen)
+    task: Balance | SwingUp = Balance()  # noqa: RUF009  (frozen)
     scales: Sequence[float] = (1.0,) * len(TABLE1)
     forces: Sequence[float] = REPORT_FORCES
     alpha: float = 1e-4
@@ -150,6 +156,7 @@ class LinearQLearning:
     acceptance_episodes: int = 100
     restart_after: int | None = None
     max_episodes: int = 2000
+    spread: float = 0.0
 
     def __post_init__(self) -> None:
         _check(self)
@@ -202,7 +209,7 @@ class LinearQLearning:
         )
 
     def train(self, seed: int | Sequence[int], *, progress: Callable[[int], None] | None = None) -> Training:
-        """Learn from zero weights.
+        """Learn from initial weights.
 
         Parameters
         ----------
@@ -222,18 +229,20 @@ class LinearQLearning:
         scales, forces = np.array(self.scales), np.array(self.forces)
         lengths = np.zeros(self.max_episodes, dtype=np.int64)
         rewards = np.zeros(self.max_episodes)
-        weights = np.zeros(len(TABLE1))
+        upright = np.zeros(self.max_episodes, dtype=np.int64)
+        weights = self._initial(rng)
         episodes = age = streak = test_steps = restarts = 0
         outcome = Outcome.BUDGET_SPENT
         while episodes < self.max_episodes:
             if age == self.restart_after:
-                weights[:] = 0.0
+                weights = self._initial(rng)
                 age = streak = 0
                 restarts += 1
             chunk = min(_CHUNK, self.max_episodes - episodes, (self.restart_after or self.max_episodes) - age)
             part = slice(episodes, episodes + chunk)
+            counts = lengths[part], rewards[part], upright[part]
             done, streak, finite = _run_episodes(
-                weights, scales, forces, settings, coefficients, age, streak, rng, lengths[part], rewards[part]
+                weights, scales, forces, settings, coefficients, age, streak, rng, *counts
             )
             episodes += done
             age += done
@@ -264,8 +273,12 @@ class LinearQLearning:
             restarts=restarts,
             lengths=lengths[:episodes],
             rewards=rewards[:episodes],
+            upright=upright[:episodes],
             seconds=time.perf_counter() - began,
         )
+
+    def _initial(self, rng: np.random.Generator) -> Array:
+        return self.spread * rng.standard_normal(len(TABLE1)) if self.spread else np.zeros(len(TABLE1))
 
     def _accept(self, policy: LinearQPolicy, rng: np.random.Generator) -> tuple[bool, int]:
         """Put the greedy policy to the acceptance tests, up to the first it fails; give the samples they took."""
@@ -281,6 +294,12 @@ class LinearQLearning:
 
     def _settings(self) -> _Settings:
         task, rig = self.task, self.rig
+        if isinstance(task, Balance):
+            center, spread, limits, angle, hold = (0.0, 0.0), task.lam, task.angle_limits, math.inf, 0
+        else:
+            rest = replace(task, spread=0.0).starts(np.random.default_rng(0), 1, rig)[0]
+            center, spread, limits = (float(rest[1]), float(rest[2])), task.spread, (math.inf, math.inf)
+            angle, hold = task.upright_angle, round(task.hold / rig.sample_time)
         return _Settings(
             alpha=float(self.alpha),
             alpha_decay=float(self.alpha_decay),
@@ -289,9 +308,12 @@ class LinearQLearning:
             epsilon_decay=float(self.epsilon_decay),
             bootstrap_failure=bool(self.bootstrap_failure),
             streak=int(self.streak),
-            lam=float(task.lam),
+            center=center,
+            spread=float(spread),
             steps=int(task.steps),
-            bounds=(float(rig.track_limit), *task.angle_limits),
+            bounds=(float(rig.track_limit), *limits),
+            upright_angle=float(angle),
+            hold=int(hold),
             weights=task.state_weights,
             failure_cost=float(task.failure_cost),
             substep=rig.sample_time / rig.substeps,
@@ -304,8 +326,14 @@ def _check(learner: LinearQLearning) -> None:
     rig = learner.rig
     if not isinstance(rig, Rig):
         raise TypeError(f"rig must be a dpend.Rig, such as dpend.rig('gustafsson2016'); got {rig!r}.")
-    if not isinstance(learner.task, Balance):
-        raise TypeError(f"task must be a dpend.Balance; got {learner.task!r}.")
+    task = learner.task
+    if not isinstance(task, Balance | SwingUp):
+        raise TypeError(f"task must be a dpend.Balance or a dpend.SwingUp; got {task!r}.")
+    if isinstance(task, SwingUp):
+        if task.start == "anywhere" or task.target_angles != (0.0, 0.0):
+            raise ValueError(f"A swing-up that is learned starts at rest and ends with both links up; got {task!r}.")
+        if learner.acceptance:
+            raise ValueError("Acceptance tests are of balancing; leave acceptance empty for a swing-up.")
     for name in ("streak", "acceptance_episodes", "max_episodes", "restart_after"):
         value = getattr(learner, name)
         if not (isinstance(value, int) or (name == "restart_after" and value is None)):
@@ -339,6 +367,7 @@ def _check(learner: LinearQLearning) -> None:
         ("acceptance_episodes", learner.acceptance_episodes >= 1, "at least 1"),
         ("restart_after", learner.restart_after is None or learner.restart_after >= 1, "at least 1, or None"),
         ("max_episodes", learner.max_episodes >= 1, "at least 1"),
+        ("spread", 0 <= learner.spread < math.inf, "finite and at least 0"),
     ):
         if not good:
             raise ValueError(f"{name} must be {wanted}; got {getattr(learner, name)!r}.")
@@ -354,9 +383,12 @@ class _Settings(NamedTuple):
     epsilon_decay: float
     bootstrap_failure: bool
     streak: int
-    lam: float
+    center: tuple[float, float]
+    spread: float
     steps: int
     bounds: tuple[float, float, float]
+    upright_angle: float
+    hold: int
     weights: tuple[float, float, float]
     failure_cost: float
     substep: float
@@ -402,7 +434,7 @@ def _greedy(g, forces):
 
 
 @compiled
-def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, lengths, rewards):
+def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, lengths, rewards, upright):
     """Run Algorithm 1 for some episodes, changing ``w`` in place; stop early at the wanted streak or at overflow.
 
     Gives the episodes completed, the successes in a row at their end, and whether the weights are still finite.
@@ -414,7 +446,10 @@ def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, l
     for episode in range(len(lengths)):
         alpha = s.alpha / (1.0 + s.alpha_decay * (age + episode))
         exploration = s.epsilon / (1.0 + s.epsilon_decay * (age + episode))
-        x = (0.0, s.lam * rng.uniform(-1.0, 1.0), s.lam * rng.uniform(-1.0, 1.0), 0.0, 0.0, 0.0)
+        th1 = s.center[0] + s.spread * rng.uniform(-1.0, 1.0)
+        th2 = s.center[1] + s.spread * rng.uniform(-1.0, 1.0)
+        x = (0.0, th1, th2, 0.0, 0.0, 0.0)
+        held = 0
         _put_features(x, scales, value, slope)
         failed = False
         t = 0
@@ -429,6 +464,8 @@ def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, l
             x = sample(x, (a, 0.0, 0.0), c_, s.substep, s.substeps)
             failed = not (abs(x[0]) <= s.bounds[0] and abs(x[1]) <= s.bounds[1] and abs(x[2]) <= s.bounds[2])
             costs = abs(x[0]), abs(wrap_angle(x[1])), abs(wrap_angle(x[2]))
+            held = held + 1 if costs[1] <= s.upright_angle and costs[2] <= s.upright_angle else 0
+            upright[episode] = max(upright[episode], held)
             reward = -(s.weights[0] * costs[0] + s.weights[1] * costs[1] + s.weights[2] * costs[2])
             if failed:
                 reward -= s.failure_cost
@@ -448,7 +485,7 @@ def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, l
             rewards[episode] += reward
             t += 1
         lengths[episode] = t
-        streak = 0 if failed else streak + 1
+        streak = 0 if failed or held < s.hold else streak + 1
         if streak >= s.streak:
             return episode + 1, streak, True
     return len(lengths), streak, True

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -310,7 +310,7 @@ class QuadraticQLearning:
             raise ValueError(f"force_bound must be finite and greater than 0; got {self.force_bound!r}.")
 
     def train(self, seed: int | Sequence[int]) -> LSPITraining:
-        """Learn from zero gain.
+        r"""Learn from zero gain.
 
         Parameters
         ----------
@@ -320,7 +320,7 @@ class QuadraticQLearning:
         Returns
         -------
         LSPITraining
-            Recorded gains are those of the least :math:`\\hat q`, and zero where it has no least.
+            Recorded gains are those of the least :math:`\hat q`, and zero where it has no least.
         """
         began = time.perf_counter()
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
@@ -450,9 +450,9 @@ _FIELDS = len(Coefficients._fields)
 
 @compiled
 def _practise(K, exercise, coefficients, rng, state, clock, z, following):
-    """Take samples under -Kx and noise; episodes go on from call to call in ``state``, their age and number in ``clock``.
+    """Fill in states with the force that acted, and the states that followed, under -Kx and noise.
 
-    Fills in states with the force that acted, and the states that followed.
+    Episodes go on from call to call: in ``state`` their state, in ``clock`` their age and number.
     """
     e = exercise
     c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]
@@ -480,7 +480,7 @@ def _practise(K, exercise, coefficients, rng, state, clock, z, following):
 
 @compiled
 def _best_force(w, s, unit, bound):
-    """Give the force of least q within a bound, for scaled states ``s`` and the unit of force, and half q's slope at 0."""
+    """Give the force of least q within a bound, for scaled states and the unit of force."""
     b = 0.0
     k = 6
     for i in range(6):  # the product with the action ends each row of the upper triangle
@@ -494,7 +494,7 @@ def _best_force(w, s, unit, bound):
 
 @compiled
 def _learn_steps(w, scales, costs, steps, exercise, coefficients, rng, state, clock, begin, end):
-    """Do one-step Q-learning on the samples from ``begin`` to ``end``, changing ``w`` in place; stop before overflow."""
+    """Do one-step Q-learning on samples ``begin`` to ``end``, changing ``w`` in place; stop before overflow."""
     e, q = exercise, steps
     c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]
     x = (state[0], state[1], state[2], state[3], state[4], state[5])
