@@ -20,6 +20,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.table import Table
+from scipy.linalg import solve_discrete_are
 
 import dpend
 from dpend.controller import Act
@@ -221,6 +222,18 @@ def _scores(K: Array, start: str, sign: bool, nearest: bool, horizon: int) -> tu
     return scores, longest, final >= task.hold - 1e-9
 
 
+def _regulators(n: int, rng: np.random.Generator) -> Array:
+    """Draw gains ``(n, 6)`` that hold upright: regulators of random weights, for only such a law can stay up."""
+    rig = dpend.rig("gustafsson2016")
+    A, B = dpend.discretize(*dpend.linearize(rig.params), rig.sample_time)
+    weights = np.exp(rng.uniform(np.log(1e-3), np.log(1e3), (n, 7)))
+    gains = np.zeros((n, 6))
+    for k, (*q, r) in enumerate(weights):
+        P = solve_discrete_are(A, B, np.diag(q), np.array([[r]]))
+        gains[k] = -((B.T @ P @ A) / (r + B.T @ P @ B))[0]
+    return gains
+
+
 def _search(setting: str, options: Options) -> Result:
     start, law, state = setting.split(", ")
     sign, nearest = LAWS[law], STATES[state]
@@ -232,12 +245,14 @@ def _search(setting: str, options: Options) -> Result:
     rng = np.random.default_rng([options.seed, 13, *code])
 
     def gains(points: Array) -> Array:
-        """Give gains for points: a size in N by the first number, log-uniform where it is drawn, and a direction."""
+        """Give gains for points, which have units of about one size."""
         return points / _SCALES
 
-    directions = rng.standard_normal((candidates, 6))
+    regulators = _regulators(candidates // 8, rng) * _SCALES
+    directions = rng.standard_normal((candidates - len(regulators), 6))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = directions * np.exp(rng.uniform(np.log(3.0), np.log(1000.0), (candidates, 1)))
+    points = directions * np.exp(rng.uniform(np.log(3.0), np.log(1000.0), (len(directions), 1)))
+    points = np.vstack([points, regulators])
 
     def scored(points: Array) -> tuple[Array, Array, Array]:
         return _scores(gains(points), start, sign, nearest, horizon)
@@ -246,8 +261,10 @@ def _search(setting: str, options: Options) -> Result:
     tried, successes = candidates, int(up.sum())
     best = points[np.argmax(scores)], float(scores.max()), float(longest[np.argmax(scores)])
     curves = [np.sort(scores)[::-1][:1]]
+    ranks = np.argsort(scores)[::-1]
+    held = ranks[ranks >= len(directions)]  # half of the strategies start from gains that hold upright
     for k in range(strategies):
-        begin = points[np.argsort(scores)[::-1][k]]
+        begin = points[ranks[k // 2] if k % 2 == 0 else held[k // 2]]
         found, curve, count = _evolve(scored, begin, 0.3 * float(np.linalg.norm(begin)) / np.sqrt(6), generations, rng)
         tried += generations * _POPULATION
         successes += count
@@ -272,7 +289,7 @@ def _search(setting: str, options: Options) -> Result:
         successes=successes,
         longest=round(held, 4),
         near=int(dpend.simulate_many(rig, law_, starts, task=near).success.sum()),
-        gain=" ".join(f"{k:.6g}" for k in K),
+        gain=" ".join(f"{k:.17g}" for k in K),
     )
     best_so_far = np.maximum.accumulate(np.max([np.resize(c, generations) if len(c) > 1 else np.full(generations, c[0])
                                                 for c in curves], axis=0))  # fmt: skip
