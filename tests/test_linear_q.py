@@ -30,7 +30,10 @@ def algorithm_1(learner, seed, episodes):
     for episode in range(episodes):
         alpha = learner.alpha / (1 + learner.alpha_decay * episode)
         epsilon = learner.epsilon / (1 + learner.epsilon_decay * episode)
-        th1, th2 = (task.lam * rng.uniform(-1, 1) for _ in range(2))
+        if isinstance(task, dpend.Balance):
+            th1, th2 = (task.lam * rng.uniform(-1, 1) for _ in range(2))
+        else:
+            th1, th2 = (np.pi / 2 + task.spread * rng.uniform(-1, 1) for _ in range(2))
         s = stepper.reset([0, th1, th2, 0, 0, 0])[0]
         t, failed = 0, False
         while t < task.steps and not failed:
@@ -53,8 +56,9 @@ def algorithm_1(learner, seed, episodes):
         LinearQLearning.published(RIG, task=dpend.Balance(failure_cost=3.0, state_weights=(1, 2, 3))),
         replace(LinearQLearning.published(RIG, task=dpend.Balance(criterion="report")), epsilon=0.3),
         LinearQLearning.tuned(RIG, select=False),
+        LinearQLearning(rig=RIG, task=dpend.SwingUp(start="side", spread=0.1, steps=120), alpha=1e-6, epsilon=0.3),
     ],
-    ids=["published", "exploring", "tuned"],
+    ids=["published", "exploring", "tuned", "swing-up"],
 )
 def test_the_compiled_loop_does_what_algorithm_1_says(learner):
     learner = replace(learner, max_episodes=4, streak=99)
@@ -62,6 +66,30 @@ def test_the_compiled_loop_does_what_algorithm_1_says(learner):
     training = learner.train(5)
     assert list(training.lengths) == lengths
     np.testing.assert_allclose(training.policy.weights, w, rtol=1e-6, atol=1e-9 * np.abs(w).max())
+
+
+@pytest.mark.parametrize(("hold", "converges"), [(0.1, True), (3.0, False)])
+def test_a_swing_up_counts_as_successful_when_it_ends_with_both_links_up_for_long_enough(hold, converges):
+    task = dpend.SwingUp(start="up-up", spread=0.05, steps=100, hold=hold, upright_angle=0.2)
+    learner = replace(LinearQLearning.tuned(RIG, select=False), task=task, streak=5, max_episodes=400)
+    training = learner.train(0)
+    assert training.converged == converges
+    if converges:
+        assert (training.lengths[-5:] == 100).all()
+        assert (training.upright[-5:] >= 5).all()
+    assert (training.upright <= training.lengths).all()
+
+
+def test_balancing_counts_every_sample_as_upright():
+    training = replace(LinearQLearning.tuned(RIG, select=False), max_episodes=30).train(0)
+    assert (training.upright == training.lengths).all()
+
+
+def test_initial_weights_may_be_drawn():
+    learner = replace(LinearQLearning.published(RIG), alpha=1e-300, max_episodes=1, spread=2.0)
+    w = learner.train(0).policy.weights
+    assert 0.8 < w.std() < 4.0
+    assert (w != learner.train(1).policy.weights).all()
 
 
 def test_the_same_seed_learns_the_same_and_another_something_else():
@@ -130,12 +158,22 @@ def test_features_of_scale_zero_keep_weight_zero():
         ({"acceptance_episodes": 0}, "acceptance_episodes must be at least 1; got 0."),
         ({"restart_after": 0}, "restart_after must be at least 1, or None; got 0."),
         ({"max_episodes": 0}, "max_episodes must be at least 1; got 0."),
+        ({"spread": -1.0}, "spread must be finite and at least 0; got -1.0."),
         ({"scales": (1.0,)}, "scales must be 18 finite numbers; got (1.0,)."),
         ({"forces": (50.0,)}, "forces must be a list of forces within the rig's limit of 40 N; got (50.0,)."),
         (
             {"rig": RIG.replace(sensor_noise=0.1)},
             "LinearQLearning trains on ideal rigs; got one with lag, delay, noise or rounding. "
             "Train on the ideal rig, then simulate the policy on this one.",
+        ),
+        (
+            {"task": dpend.SwingUp(start="side"), "acceptance": ((0.1, 0.9),)},
+            "Acceptance tests are of balancing; leave acceptance empty for a swing-up.",
+        ),
+        (
+            {"task": dpend.SwingUp(start="anywhere")},
+            f"A swing-up that is learned starts at rest and ends with both links up; "
+            f"got {dpend.SwingUp(start='anywhere')!r}.",
         ),
         (
             {"rig": RIG.replace(mass1=[0.5, 0.6])},
