@@ -18,6 +18,7 @@ text lacks, follow from the pattern and from the code published with it.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from dpend.params import Array
 from dpend.state import NAMES, wrap_angle
@@ -86,7 +87,7 @@ def quadratic_features(z: Array) -> Array:
     return z[..., i] * z[..., j]
 
 
-def quadratic_form(w: Array) -> Array:
+def quadratic_form(w: npt.NDArray[np.floating]) -> Array:
     r"""Give the symmetric :math:`H` with :math:`z^\top H z = w^\top x(z)` over the quadratic features.
 
     Parameters

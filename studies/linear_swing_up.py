@@ -17,6 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -185,7 +186,9 @@ def _learn(setting: str, options: Options) -> Result:
     return Result(rows, {"rewards": np.quantile(curves, (0.25, 0.5, 0.75), axis=0)})
 
 
-def _scores(K: Array, start: str, sign: bool, nearest: bool, horizon: int) -> tuple[Array, Array, Array]:
+def _scores(
+    K: Array, start: str, sign: bool, nearest: bool, horizon: int
+) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
     """Roll every gain ``(n, 6)`` out; give scores, the longest time upright, and whether it ends with a second upright.
 
     The score is that time in s, at most 1, and then how near to upright at rest it came, and how long it stayed on the
@@ -193,6 +196,7 @@ def _scores(K: Array, start: str, sign: bool, nearest: bool, horizon: int) -> tu
     """
     rig = dpend.rig("gustafsson2016")
     task = _task(start)
+    force = float(np.max(rig.force_limit))
     longest, final = np.zeros(len(K)), np.zeros(len(K))
     nearest_yet, lasted = np.full(len(K), np.inf), np.zeros(len(K))
     for first in range(0, len(K), _ROWS):
@@ -201,9 +205,7 @@ def _scores(K: Array, start: str, sign: bool, nearest: bool, horizon: int) -> tu
         x = stepper.reset(task.starts(np.random.default_rng(0), len(rows), rig))
         held = np.zeros(len(rows))
         for k in range(horizon):
-            act = LinearLaw(K[rows], rig.force_limit, sign=sign, nearest=nearest).start(
-                len(rows), np.random.default_rng(0)
-            )
+            act = LinearLaw(K[rows], force, sign=sign, nearest=nearest).start(len(rows), np.random.default_rng(0))
             x = stepper.step(act(k * rig.sample_time, x))
             on = task.ended(x, rig) == 0
             held = np.where(task.upright(x) & on, held + rig.sample_time, 0.0)
@@ -226,12 +228,15 @@ def _regulators(n: int, rng: np.random.Generator) -> Array:
     """Draw gains ``(n, 6)`` that hold upright: regulators of random weights, for only such a law can stay up."""
     rig = dpend.rig("gustafsson2016")
     A, B = dpend.discretize(*dpend.linearize(rig.params), rig.sample_time)
-    weights = np.exp(rng.uniform(np.log(1e-3), np.log(1e3), (n, 7)))
-    gains = np.zeros((n, 6))
-    for k, (*q, r) in enumerate(weights):
-        P = solve_discrete_are(A, B, np.diag(q), np.array([[r]]))
-        gains[k] = -((B.T @ P @ A) / (r + B.T @ P @ B))[0]
-    return gains
+    gains: list[Array] = []
+    while len(gains) < n:
+        *q, r = np.exp(rng.uniform(np.log(1e-3), np.log(1e3), 7))
+        try:
+            P = solve_discrete_are(A, B, np.diag(q), np.array([[r]]))
+        except ValueError:  # a few weights are too far apart for the solver
+            continue
+        gains.append(-((B.T @ P @ A) / (r + B.T @ P @ B))[0])
+    return np.array(gains)
 
 
 def _search(setting: str, options: Options) -> Result:
@@ -254,7 +259,7 @@ def _search(setting: str, options: Options) -> Result:
     points = directions * np.exp(rng.uniform(np.log(3.0), np.log(1000.0), (len(directions), 1)))
     points = np.vstack([points, regulators])
 
-    def scored(points: Array) -> tuple[Array, Array, Array]:
+    def scored(points: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
         return _scores(gains(points), start, sign, nearest, horizon)
 
     scores, longest, up = scored(points)
@@ -273,7 +278,7 @@ def _search(setting: str, options: Options) -> Result:
             best = found
     K = gains(best[0])
     rig = dpend.rig("gustafsson2016")
-    law_ = LinearLaw(K, rig.force_limit, sign=sign, nearest=nearest)
+    law_ = LinearLaw(K, float(np.max(rig.force_limit)), sign=sign, nearest=nearest)
     task = _task(start)
     run = dpend.simulate(rig, law_, task.starts(np.random.default_rng(0), 1, rig)[0], task=task)
     near = _task(start, _NEAR)
@@ -305,7 +310,7 @@ def _longest(x: Array, task: dpend.SwingUp) -> int:
 
 
 def _evolve(
-    scored: Callable[[Array], tuple[Array, Array, Array]],
+    scored: Callable[[Array], tuple[Array, Array, npt.NDArray[np.bool_]]],
     begin: Array,
     size: float,
     generations: int,

@@ -140,7 +140,8 @@ def run(job: Job, options: Options) -> Result:
         learner = LEARNERS[job.setting](rig)
         training: LSPITraining = learner.train(seed)
         controller, experience = training.policy, training.experience
-        traces = {"errors": training.errors(best), "experience": training.samples * rig.sample_time}
+        seconds = (training.samples * rig.sample_time).astype(np.float64)
+        traces = {"errors": training.errors(best), "experience": seconds}
         error = float(traces["errors"][-1])
     rows = []
     for lam in LAMS:

@@ -224,6 +224,7 @@ def test_published_has_the_reports_numbers():
     assert (learner.alpha_decay, learner.epsilon_decay, learner.acceptance, learner.restart_after) == (0, 0, (), None)
     assert sorted(learner.forces) == [-40, -20, -10, -5, 0, 5, 10, 20, 40]
     assert set(learner.scales) == {1.0}
+    assert isinstance(learner.task, dpend.Balance)
     assert (learner.task.lam, learner.task.steps, learner.task.criterion) == (0.1, 300, "report")
 
 
@@ -232,6 +233,7 @@ def test_tuned_has_the_numbers_that_the_documentation_lists():
     assert learner.acceptance == ((0.3, 0.82), (0.1, 0.99))
     assert (learner.acceptance_episodes, learner.streak) == (100, 20)
     assert (learner.restart_after, learner.max_episodes) == (1000, 20_000)
+    assert isinstance(learner.task, dpend.Balance)
     assert learner.task.criterion == "strict"
 
 
