@@ -19,7 +19,7 @@ from controllers import EKF, LQR, BangBang, Catch, Constant, EnergyPump, LowPass
 from dpend import Controller, Rig
 from dpend.controller import check_controller, is_batched
 from dpend.params import Array
-from rl import LinearQPolicy, MLPPolicy, Network
+from rl import GainPolicy, LinearQPolicy, MLPPolicy, Network
 
 
 def random_network() -> Network:
@@ -33,6 +33,7 @@ RECIPES: dict[str, Callable[[Rig], Any]] = {
     "BangBang": lambda rig: BangBang(LQR(rig), min(float(np.max(rig.force_limit)), 50.0)),
     "Catch": lambda rig: Catch(rig, EnergyPump(rig)),
     "Constant": lambda rig: Constant(1.5),
+    "GainPolicy": lambda rig: GainPolicy((1.0, -8.0, 9.0, 1.0, -0.5, 2.0)),
     "LowPass": lambda rig: LowPass(rig, LQR(rig), frequency=20.0),
     "RateLimit": lambda rig: RateLimit(rig, LQR(rig), 500.0),
     "LinearQPolicy": lambda rig: LinearQPolicy(np.linspace(-1, 1, 18), np.ones(18), (0.0, -4.0, 4.0)),
