@@ -6,9 +6,10 @@ held against the one of the Riccati equation for the same cost and discount, wit
 every learner, and that gain, meet the k-th part of the starts at every λ; Table 1 Q-learning (tuned) stands beside.
 Variation is the total variation of the force per second, in units of the force limit, at λ = 0.1.
 
-Finding: with 120 s LSPI comes within 5 % of the Riccati gain in 30 of 30 trainings (median error 0.13 %, largest 0.9 %),
-saves what that gain saves (100/99.5/85.2/69.0 %), and its force varies 1/814 as much as Table 1 Q-learning's; with 60 s
-it is 27 of 30, and one-step Q-learning finds nothing in 12 000 s.  From ``--seed 1``, kept in docs/results/lspi.
+Finding: with 120 s LSPI comes within 5 % of the Riccati gain in 30 of 30 trainings (median error 0.13 %, at most
+0.9 %), saves what that gain saves (100/99.5/85.2/69.0 %), and its force varies 1/814 as much as Table 1 Q-learning's;
+with 60 s it is 27 of 30, and one-step Q-learning finds nothing in 12 000 s.  From ``--seed 1``, kept in
+docs/results/lspi.
 """
 
 from __future__ import annotations
