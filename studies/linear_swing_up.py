@@ -354,7 +354,7 @@ def _evolve(
 
 
 def plot(rows: list[Row], traces: Traces) -> Figure:
-    """Draw average rewards of learning, the searches' best scores, and the angles under the best gains."""
+    """Draw average rewards of learning, the searches' best scores, and the tip's height under the best gains."""
     figure = Figure(figsize=(6.8, 8.6), layout="constrained")
     learning, scores, *angles = figure.subplots(4, 1, height_ratios=[1.3, 1.3, 1, 1])
     colours = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#777777", "#000000")
@@ -381,14 +381,12 @@ def plot(rows: list[Row], traces: Traces) -> Figure:
         scores.plot(np.arange(1, len(trace["scores"]) + 1), trace["scores"], color=colour, lw=1.2, label=words)
         axis = angles[STARTS.index(row.start)]
         t = 0.02 * np.arange(len(trace["th1"]))
-        axis.plot(t, trace["th1"] / np.pi, color=colour, lw=1.0, label=words)
-        axis.plot(t, trace["th2"] / np.pi, color=colour, lw=0.8, ls="--")
+        axis.plot(t, 0.5 * (np.cos(trace["th1"]) + np.cos(trace["th2"])), color=colour, lw=1.0, label=row.setting)
     scores.set(xlabel="generation", ylabel="best score")
     scores.legend(fontsize=6.5, ncols=2)
     for axis, start in zip(angles, STARTS, strict=True):
-        axis.set(xlabel="time (s)", ylabel="angles (π rad)", ylim=(-4, 4))
-        axis.set_title(f"best gains from {start}: θ1 full, θ2 dashed; upright is even", fontsize=9)
-        axis.set_yticks(range(-4, 5, 2))
+        axis.set(xlabel="time (s)", ylabel="height of the tip", ylim=(-1.1, 1.1))
+        axis.set_title(f"best gains from {start}, 1 = upright, until the cart leaves the track", fontsize=9)
         if axis.get_legend_handles_labels()[0]:
             axis.legend(fontsize=6.5, ncols=2)
     for axis in (learning, scores, *angles):
