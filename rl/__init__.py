@@ -1,13 +1,12 @@
 """Learners for the inverted double pendulum on a cart."""
 
-from .gaussian_qac import Deviations, GaussianQAC, QACTraining
+from .gaussian_qac import GaussianQAC, QACTraining
 from .linear_q import LinearQLearning, Outcome, Training
 from .lspi import LSPI, LSPITraining, QuadraticQLearning
 from .policies import GainPolicy, LinearQPolicy, MLPPolicy, Network, load_policy
 
 __all__ = [
     "LSPI",
-    "Deviations",
     "GainPolicy",
     "GaussianQAC",
     "LSPITraining",

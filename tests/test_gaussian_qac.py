@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import dpend
-from rl import Deviations, GainPolicy, GaussianQAC, Outcome
+from rl import GainPolicy, GaussianQAC, Outcome
 from rl.features import make_value_features, slope_features
-from rl.gaussian_qac import _STREAM, TableOneMean, _Critic, ablations
+from rl.gaussian_qac import _STREAM, Deviations, TableOneMean, _Critic, ablations
 from tests.rigs import whole
 
 RIG = dpend.rig("gustafsson2016")
@@ -76,7 +76,7 @@ def test_the_compiled_loop_does_what_algorithm_2_says(learner):
 
 def test_the_score_function_has_zero_mean_and_fishers_matrix_is_its_second_moment():
     rng = np.random.default_rng(0)
-    phi, v, sigma, n = rng.normal(size=12), rng.normal(size=12), 1.7, 400_000
+    phi, v, sigma, n = rng.normal(size=12), rng.normal(size=12), 1.7, 200_000
     a = phi @ v + sigma * rng.standard_normal(n)
     score = (a - phi @ v)[:, None] * phi / sigma**2
     assert_allclose(score.mean(axis=0), 0.0, atol=5 * np.abs(phi).max() / sigma / np.sqrt(n))
@@ -85,7 +85,7 @@ def test_the_score_function_has_zero_mean_and_fishers_matrix_is_its_second_momen
 
 def test_the_gradient_in_closed_form_is_the_mean_of_the_sampled_one():
     rng = np.random.default_rng(1)
-    n, sigma, v = 400_000, 0.3, 0.1 * rng.normal(size=6)
+    n, sigma, v = 100_000, 0.3, 0.1 * rng.normal(size=6)
     s = rng.normal(size=(n, 6))
     z = np.column_stack([s, s @ v + sigma * rng.standard_normal(n)])
     for critic in ("quadratic", "table 1"):
@@ -94,7 +94,7 @@ def test_the_gradient_in_closed_form_is_the_mean_of_the_sampled_one():
         )
         closed.w[:] = sampled.w[:] = 0.1 * rng.normal(size=len(closed.w))
         exact, drawn = closed.gradient(z, v, sigma, n), sampled.gradient(z, v, sigma, n)
-        assert_allclose(drawn, exact, atol=0.05 * np.abs(exact).max())
+        assert_allclose(drawn, exact, atol=0.1 * np.abs(exact).max())
 
 
 def test_the_natural_gradient_undoes_fishers_matrix():
