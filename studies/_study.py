@@ -1,9 +1,10 @@
 """The one runner of all studies: jobs to rows, rows to a table on disk, the table to figures.
 
 A study is a module with a docstring that says question, method and finding, and with ``Options``, ``Row``, ``jobs``,
-``run``, ``plot`` and ``summary`` (see :class:`Study`).  Each finished job is a small file of its own, written at once
-or not at all, so a study that was stopped in any way goes on where it was, and no row is lost or doubled.  That file
-is named after everything the result depends on: job, options and source code.
+``run``, ``plot`` and ``summary`` (see :class:`Study`), and ``films`` where its options have such a flag.  Each finished
+job is a small file of its own, written at once or not at all, so a study that was stopped in any way goes on where it
+was, and no row is lost or doubled.  That file is named after everything the result depends on: job, options and source
+code.
 """
 
 from __future__ import annotations
@@ -182,6 +183,8 @@ def run_study(name: str, options: Options) -> list[Any]:
     figures = study.plot(rows, read_traces(out / "traces.npz"))
     for added, figure in (figures if isinstance(figures, Mapping) else {"": figures}).items():
         figure.savefig(out / f"{short}{added}.png", dpi=200)
+    if getattr(options, "films", False):
+        cast(Any, study).films(rows, read_traces(out / "traces.npz"), out)
     console = Console()
     console.print(study.summary(rows))
     console.print(f"Figure, table and settings are in {out}/.", soft_wrap=True, highlight=False)
