@@ -1,5 +1,6 @@
 """Learners for the inverted double pendulum on a cart."""
 
+from .deep import DeepRecipe, DeepTraining, train_deep
 from .gaussian_qac import GaussianQAC, QACTraining
 from .linear_q import LinearQLearning, Outcome, Training
 from .lspi import LSPI, LSPITraining, QuadraticQLearning
@@ -7,6 +8,8 @@ from .policies import GainPolicy, LinearQPolicy, MLPPolicy, Network, load_policy
 
 __all__ = [
     "LSPI",
+    "DeepRecipe",
+    "DeepTraining",
     "GainPolicy",
     "GaussianQAC",
     "LSPITraining",
@@ -19,4 +22,5 @@ __all__ = [
     "QuadraticQLearning",
     "Training",
     "load_policy",
+    "train_deep",
 ]

@@ -135,6 +135,8 @@ class GainPolicy:
         """
         return save_policy(path, "gain", {"K": self.K}, self.about)
 
+# OpenBLAS shares larger products out to threads, which for these costs up to a hundred times what it saves.
+_SMALL_PRODUCT = 1 << 18
 
 _ACTIVATIONS: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
     {"tanh": lambda h: np.tanh(h, out=h), "relu": lambda h: np.maximum(h, 0.0, out=h)}
@@ -209,6 +211,13 @@ class Network:
 
     def __call__(self, observations: Array) -> Array:
         """Give actions ``(n, outputs)``, within -1 and 1, for observations ``(n, inputs)``."""
+        actions = np.empty((len(observations), self.outputs))
+        rows = max(_SMALL_PRODUCT // max(weight.size for weight in self.weights), 1)
+        for start in range(0, len(observations), rows):
+            actions[start : start + rows] = self._forward(observations[start : start + rows])
+        return actions
+
+    def _forward(self, observations: Array) -> Array:
         activate = _ACTIVATIONS[self.activation]
         h = observations
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):

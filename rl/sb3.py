@@ -1,0 +1,342 @@
+r"""Stable-Baselines3 at work: the adapter of vector environments, CAPS in PPO's loss, and a learner that can go on.
+
+The only file that imports torch and Stable-Baselines3; :mod:`rl.deep` imports it when a training begins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3 import DDPG, PPO, SAC, TD3
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.type_aliases import RolloutBufferSamples
+from stable_baselines3.common.vec_env import VecEnv
+
+from dpend.params import Array
+
+from .deep import DeepRecipe, training_envs
+from .policies import Network
+from .shaping import observation_scales, observe
+
+ROLLOUT = 64
+"""Steps that PPO takes in every copy between two rounds of updates."""
+
+_EFFORT = 0.005
+_WARM_UP = 5000  # steps of random actions before DDPG, TD3 and SAC learn
+
+
+class Copies(VecEnv):
+    r"""A Gymnasium vector environment as Stable-Baselines3 wants it.
+
+    On our plant, observations are :func:`rl.shaping.observe`'s, and :math:`\tfrac{1}{200}a_t^2` and
+    :math:`w(a_t - a_{t-1})^2` are taken off the reward; an episode begins with :math:`a_{-1} = 0`.
+
+    Parameters
+    ----------
+    envs : gymnasium.vector.VectorEnv
+        The environments, which begin anew in the step that ends an episode.
+    recipe : DeepRecipe
+        Says what is seen and rewarded.
+    """
+
+    def __init__(self, envs: gym.vector.VectorEnv[Any, Any, Any], recipe: DeepRecipe) -> None:
+        self._envs = envs
+        self._own = not recipe.env
+        self._scales = observation_scales(recipe.rig)
+        self._action_rate = recipe.action_rate
+        self._last: Array | None = np.zeros(envs.num_envs) if recipe.action_rate else None
+        box = cast(spaces.Box, envs.single_action_space)
+        if not isinstance(box, spaces.Box) or box.shape is None or len(box.shape) != 1:
+            raise ValueError(f"Deep learners here have continuous actions; got {envs.single_action_space}.")
+        self._half_range, self._middle = (box.high - box.low) / 2, (box.high + box.low) / 2
+        if self._own:
+            width = 8 if self._last is None else 9
+        else:
+            width = int(np.prod(envs.single_observation_space.shape or ()))
+        observed = spaces.Box(-np.inf, np.inf, (width,), dtype=np.float32)
+        super().__init__(envs.num_envs, observed, spaces.Box(-1.0, 1.0, box.shape, dtype=np.float32))
+        self._actions: Any = np.zeros((envs.num_envs, *box.shape), dtype=np.float32)
+        self._nothing: list[dict[str, Any]] = [{} for _ in range(envs.num_envs)]
+
+    def reset(self) -> Any:
+        """Begin an episode in every copy."""
+        seed, self._seeds[0] = self._seeds[0], None
+        y, _ = self._envs.reset(seed=seed)
+        if self._last is not None:
+            self._last[:] = 0.0
+        return self._observed(y, self._last)
+
+    def step_async(self, actions: Any) -> None:
+        """Take note of the actions."""
+        self._actions = actions
+
+    def step_wait(self) -> Any:
+        """Take a step in every copy."""
+        y, rewards, terminated, truncated, infos = self._envs.step(self._actions * self._half_range + self._middle)
+        done = terminated | truncated
+        last = self._last
+        if self._own:
+            a = np.clip(self._actions[:, 0].astype(np.float64), -1.0, 1.0)
+            rewards = rewards - _EFFORT * a**2
+            if last is not None:
+                rewards -= self._action_rate * (a - last) ** 2
+                last = self._last = a
+        told = self._nothing
+        if done.any():
+            told = self._nothing.copy()
+            rows = np.flatnonzero(done)
+            finals = self._observed(np.stack(list(infos["final_obs"][rows])), None if last is None else last[rows])
+            for row, final in zip(rows, finals, strict=True):
+                cut = bool(truncated[row] and not terminated[row])
+                told[row] = {"terminal_observation": final, "TimeLimit.truncated": cut}
+            if last is not None:
+                last[rows] = 0.0
+        return self._observed(y, last), rewards.astype(np.float32), done, told
+
+    def _observed(self, y: Any, last: Array | None) -> Any:
+        return (observe(y, self._scales, last) if self._own else np.asarray(y)).astype(np.float32)
+
+    def close(self) -> None:
+        """Close the environments."""
+        self._envs.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Give an attribute of every copy; here, that there is nothing to render."""
+        if attr_name == "render_mode":
+            return [None] * self.num_envs
+        raise AttributeError(attr_name)
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refuse: copies have no attributes of their own."""
+        raise AttributeError(attr_name)
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Refuse: copies have no methods of their own."""
+        raise AttributeError(method_name)
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Tell that no copy is wrapped."""
+        return [False] * self.num_envs
+
+
+class PairedBuffer(RolloutBuffer):
+    """PPO's buffer, where each observation comes with the next of its episode, or with itself at the end."""
+
+    def get(self, batch_size: int | None = None) -> Iterator[RolloutBufferSamples]:  # type: ignore[override]
+        """Give shuffled batches."""
+        if not self.generator_ready:
+            following = np.roll(self.observations, -1, axis=0)
+            over = np.roll(self.episode_starts, -1, axis=0) > 0
+            over[-1] = True
+            following[over] = self.observations[over]
+            self._following = self.swap_and_flatten(following)
+        yield from super().get(batch_size)
+
+    def _get_samples(self, batch_inds: Any, env: Any = None) -> RolloutBufferSamples:
+        samples = super()._get_samples(batch_inds, env)
+        pairs = torch.cat((samples.observations, self.to_torch(self._following[batch_inds])), dim=1)
+        return samples._replace(observations=pairs)
+
+
+class CAPSPolicy(ActorCriticPolicy):
+    r"""PPO's actor and critic, with minus the loss of CAPS in the place of the entropy, whose weight must be one.
+
+    .. math:: L = \lambda_T\,|\pi(o_t) - \pi(o_{t+1})| + \lambda_S\,|\pi(o_t) - \pi(o_t + \epsilon)|
+
+    Source: S. Mysore et al., *Regularizing action policies for smooth control with reinforcement learning*, ICRA 2021.
+    """
+
+    def __init__(self, *args: Any, caps: tuple[float, float, float], **kwargs: Any) -> None:
+        self._caps = caps
+        super().__init__(*args, **kwargs)
+
+    def evaluate_actions(self, obs: Any, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Give values, log-probabilities, and minus the loss of CAPS, for pairs of observations."""
+        now, following = obs.chunk(2, dim=1)
+        values, log_prob, _ = super().evaluate_actions(now, actions)
+        temporal, spatial, deviation = self._caps
+        near = now + deviation * torch.randn_like(now)
+        here, there, then = self._mean(torch.cat((now, near, following))).chunk(3)
+        loss = spatial * (here - there).abs() + temporal * (here - then).abs()
+        return values, log_prob, -loss.sum(dim=1)
+
+    def _mean(self, observations: torch.Tensor) -> torch.Tensor:
+        return self.action_net(self.mlp_extractor.forward_actor(observations)).clamp(-1.0, 1.0)
+
+
+class Learner:
+    """A model of Stable-Baselines3 in its environments.
+
+    Parameters
+    ----------
+    recipe : DeepRecipe
+        What it learns, and how.
+    seed : int
+        What all randomness is drawn from.
+    """
+
+    def __init__(self, recipe: DeepRecipe, seed: int) -> None:
+        torch.set_num_threads(1)
+        self._recipe = recipe
+        self._seed = seed
+        self._env = Copies(training_envs(recipe), recipe)
+        self._model = self._built()
+
+    def _built(self) -> Any:
+        recipe, seed = self._recipe, self._seed
+        first, last = recipe.learning_rate
+
+        def learning_rate(_: float) -> float:
+            done = min(self._model.num_timesteps / recipe.steps, 1.0) if hasattr(self, "_model") else 0.0
+            return first + (last - first) * done
+
+        shared: dict[str, Any] = {
+            "learning_rate": learning_rate,
+            "batch_size": recipe.batch,
+            "gamma": recipe.gamma,
+            "seed": seed,
+            "device": "cpu",
+        }
+        net = {"net_arch": list(recipe.net)}
+        if recipe.algo == "ppo":
+            own: dict[str, Any] = net | {"log_std_init": float(np.log(recipe.noise))}
+            caps = any(recipe.caps)
+            if caps:
+                own["caps"] = recipe.caps
+            return PPO(
+                CAPSPolicy if caps else "MlpPolicy",
+                self._env,
+                n_steps=ROLLOUT,
+                n_epochs=max(round(recipe.updates * recipe.batch), 1),
+                gae_lambda=0.95,
+                ent_coef=1.0 if caps else 0.0,
+                rollout_buffer_class=PairedBuffer if caps else None,
+                policy_kwargs=own,
+                **shared,
+            )
+        size = int(self._env.action_space.shape[0])  # type: ignore[index]
+        noise = None
+        if recipe.algo != "sac":
+            noise = NormalActionNoise(np.zeros(size), np.full(size, recipe.noise))
+        return {"ddpg": DDPG, "td3": TD3, "sac": SAC}[recipe.algo](
+            "MlpPolicy",
+            self._env,
+            buffer_size=recipe.steps,
+            learning_starts=min(_WARM_UP, recipe.steps // 10),
+            train_freq=1,
+            gradient_steps=max(round(recipe.updates * recipe.copies), 1),
+            action_noise=noise,
+            policy_kwargs=net,
+            **shared,
+        )
+
+    @property
+    def steps(self) -> int:
+        """Environment steps so far."""
+        return self._model.num_timesteps
+
+    def learn(self, steps: int) -> None:
+        """Take so many environment steps, or the next number that fills a round, and learn from them."""
+        self._model.learn(steps, reset_num_timesteps=False)
+
+    def act(self, observations: Any) -> Any:
+        """Give the model's own deterministic actions, within -1 and 1."""
+        return self._model.predict(observations, deterministic=True)[0]
+
+    def network(self) -> Network:
+        """Give the actor as plain arrays."""
+        policy = self._model.policy
+        if self._recipe.algo == "ppo":
+            layers = [*policy.mlp_extractor.policy_net, policy.action_net]
+            functions = "tanh", "clip"
+        elif self._recipe.algo == "sac":
+            layers = [*policy.actor.latent_pi, policy.actor.mu]
+            functions = "relu", "tanh"
+        else:
+            layers = list(policy.actor.mu)
+            functions = "relu", "tanh"
+        linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
+        return Network(
+            [layer.weight.detach().numpy() for layer in linear],
+            [layer.bias.detach().numpy() for layer in linear],
+            activation=functions[0],
+            squash=functions[1],
+        )
+
+    def save(self, path: Path, beside: dict[str, Any]) -> None:
+        """Write all that is needed to go on, at once or not at all; ``beside`` holds arrays, numbers and words."""
+        model = self._model
+        state: dict[str, Any] = {
+            "steps": model.num_timesteps,
+            "updates": model._n_updates,
+            "policy": model.policy.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer in self._optimizers()],
+            "beside": _plain(beside),
+        }
+        if isinstance(model, SAC):
+            state["entropy"] = model.log_ent_coef.detach() if model.log_ent_coef is not None else None
+        if isinstance(model, OffPolicyAlgorithm):
+            buffer = cast(Any, model.replay_buffer)
+            filled = buffer.buffer_size if buffer.full else buffer.pos
+            state["replay"] = {name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _REPLAY}
+            state["place"] = (buffer.pos, buffer.full)
+        part = path.with_name(f".{path.name}.part")
+        torch.save(state, part)
+        part.replace(path)
+
+    def restore(self, path: Path) -> dict[str, Any]:
+        """Go on from what :meth:`save` wrote, in new episodes; give what was saved beside it."""
+        state = torch.load(path, weights_only=True)
+        model = self._model
+        model.num_timesteps = state["steps"]
+        model._n_updates = state["updates"]
+        model.policy.load_state_dict(state["policy"])
+        for optimizer, saved in zip(self._optimizers(), state["optimizers"], strict=True):
+            optimizer.load_state_dict(saved)
+        if isinstance(model, SAC) and state["entropy"] is not None:
+            model.log_ent_coef.data.copy_(state["entropy"])  # type: ignore[union-attr]
+        if isinstance(model, OffPolicyAlgorithm):
+            buffer = cast(Any, model.replay_buffer)
+            for name in _REPLAY:
+                getattr(buffer, name)[: len(state["replay"][name])] = state["replay"][name].numpy()
+            buffer.pos, buffer.full = state["place"]
+        # Not the random numbers of the first time once more.
+        model.set_random_seed((self._seed + 7919 * state["steps"]) % 2**31)
+        beside = state["beside"]
+        beside["network"] = {
+            name: array.numpy() if isinstance(array, torch.Tensor) else np.array(array)
+            for name, array in beside["network"].items()
+        }
+        return beside
+
+    def _optimizers(self) -> Sequence[torch.optim.Optimizer]:
+        model = self._model
+        if isinstance(model, PPO):
+            return [model.policy.optimizer]
+        own = [model.actor.optimizer, model.critic.optimizer]
+        if isinstance(model, SAC) and model.ent_coef_optimizer is not None:
+            own.append(model.ent_coef_optimizer)
+        return own
+
+
+_REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+
+
+def _plain(thing: Any) -> Any:
+    """Give what torch reads back without running code: tensors, numbers, words, and lists and dicts of them."""
+    if isinstance(thing, dict):
+        return {key: _plain(value) for key, value in thing.items()}
+    if isinstance(thing, list | tuple):
+        return [_plain(value) for value in thing]
+    if isinstance(thing, np.ndarray):
+        return torch.from_numpy(thing.copy()) if thing.dtype.kind == "f" else str(thing)
+    return thing

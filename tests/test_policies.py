@@ -1,0 +1,227 @@
+"""Policies as files: what was saved comes back, what was not is refused and runs nothing; networks as controllers."""
+
+import os
+import re
+import time
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import dpend
+from rl import LinearQPolicy, MLPPolicy, Network, load_policy
+from rl.policies import _checksum
+from rl.shaping import observe
+
+RIG = dpend.rig("gustafsson2016")
+
+
+def network(inputs=8, *, activation="tanh", squash="clip", seed=0):
+    rng = np.random.default_rng(seed)
+    widths = (inputs, 64, 64, 1)
+    weights = [rng.normal(size=(m, n)) / np.sqrt(n) for n, m in pairwise(widths)]
+    return Network(weights, [0.1 * rng.normal(size=m) for m in widths[1:]], activation=activation, squash=squash)
+
+
+def policy(inputs=8, period=0.04, **keywords):
+    return MLPPolicy(network(inputs), scales=(2.4, 3.0, 6.0, 6.0), force_limit=40.0, period=period, **keywords)
+
+
+SAVED = {
+    "linear Q": LinearQPolicy(np.arange(18.0), np.ones(18), (0.0, -40.0, 40.0), about={"seed": 3}),
+    "mlp": policy(about={"seed": 3, "name": "some"}),
+    "network": network(11, activation="relu", squash="tanh"),
+}
+
+
+def states(n, seed=0):
+    return np.random.default_rng(seed).normal(size=(n, 6))
+
+
+def forces(law, y):
+    if isinstance(law, Network):
+        return law(np.random.default_rng(0).normal(size=(len(y), law.inputs)))
+    return law.start(len(y), np.random.default_rng(0))(0.0, y)
+
+
+@pytest.mark.parametrize("activation", ["tanh", "relu"])
+@pytest.mark.parametrize("squash", ["clip", "tanh"])
+def test_a_network_is_what_its_equation_says(activation, squash):
+    net = network(activation=activation, squash=squash)
+    functions = {"tanh": np.tanh, "relu": lambda h: max(h, 0.0), "clip": lambda h: min(max(h, -1.0), 1.0)}
+    o = np.random.default_rng(1).normal(size=(5, 8))
+    for row, action in zip(o, net(o), strict=True):
+        h = list(row)
+        for k, (weight, bias) in enumerate(zip(net.weights, net.biases, strict=True)):
+            f = functions[squash if k == len(net.weights) - 1 else activation]
+            h = [f(sum(w * x for w, x in zip(line, h, strict=True)) + b) for line, b in zip(weight, bias, strict=True)]
+        np.testing.assert_allclose(action, h, atol=1e-12)
+
+
+def test_a_force_is_held_for_the_period_on_a_faster_rig_and_for_a_sample_on_a_slower_one():
+    run = dpend.simulate(RIG, policy(), [0, np.pi, np.pi - 0.1, 0, 0, 0], 1.0, task=None)
+    assert (run.u[::2] == run.u[1::2]).all()
+    assert (run.u[2::2] != run.u[:-2:2]).all()
+    slow = dpend.simulate(RIG.replace(sample_time=0.05), policy(), [0, np.pi, np.pi - 0.1, 0, 0, 0], 1.0, task=None)
+    assert (np.diff(slow.u) != 0).all()
+
+
+def test_a_network_with_nine_inputs_sees_its_last_action():
+    law = policy(9, period=0.02)
+    act = law.start(3, np.random.default_rng(0))
+    y = [states(3, k) for k in range(3)]
+    last = np.zeros(3)
+    for k in range(3):
+        last = law.network(observe(y[k], law.scales, last))[:, 0]
+        np.testing.assert_array_equal(act(0.02 * k, y[k]), 40.0 * last)
+
+
+@pytest.mark.parametrize("kind", SAVED)
+def test_what_was_saved_comes_back_to_the_bit(kind, tmp_path):
+    saved = SAVED[kind]
+    back = load_policy(saved.save(tmp_path / "policy"))
+    assert type(back) is type(saved)
+    assert back.about == saved.about
+    np.testing.assert_array_equal(forces(back, states(9)), forces(saved, states(9)))
+
+
+def refused(file):
+    with pytest.raises(
+        ValueError, match=rf"^{re.escape(str(file))} is not a policy saved by dpend \(.+\)\.$"
+    ) as caught:
+        load_policy(file)
+    return str(caught.value)
+
+
+def stored(file):
+    with np.load(file, allow_pickle=False) as opened:
+        return {name: opened[name] for name in opened.files}
+
+
+@pytest.mark.parametrize("kind", SAVED)
+def test_a_truncated_file_is_refused(kind, tmp_path):
+    file = SAVED[kind].save(tmp_path / "policy.npz")
+    content = file.read_bytes()
+    for length in (0, 1, 30, len(content) // 2, len(content) - 1):
+        file.write_bytes(content[:length])
+        refused(file)
+
+
+def test_random_bytes_are_refused(tmp_path):
+    rng = np.random.default_rng(0)
+    for head in (b"", b"PK\x03\x04", b"\x93NUMPY"):
+        file = tmp_path / "random.npz"
+        file.write_bytes(head + rng.bytes(2000))
+        refused(file)
+
+
+def test_a_flipped_bit_is_refused(tmp_path):
+    file = SAVED["mlp"].save(tmp_path / "policy.npz")
+    content = bytearray(file.read_bytes())
+    for place in np.random.default_rng(0).integers(0, len(content), 20):
+        flipped = bytearray(content)
+        flipped[place] ^= 16
+        file.write_bytes(bytes(flipped))
+        try:
+            back = load_policy(file)
+        except ValueError:
+            refused(file)
+        else:  # a bit of the zip's own bookkeeping, such as a date
+            np.testing.assert_array_equal(forces(back, states(3)), forces(SAVED["mlp"], states(3)))
+
+
+def test_arrays_that_were_tampered_with_are_refused(tmp_path):
+    file = SAVED["mlp"].save(tmp_path / "policy.npz")
+    arrays = stored(file)
+    arrays["weight0"][0, 0] += 1e-3
+    np.savez(file, **arrays)
+    assert "its checksum does not match what it holds" in refused(file)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"weight0": np.full((64, 8), np.nan)}, "weight 0 must be finite."),
+        ({"bias1": np.full(64, np.inf)}, "bias 1 must be finite."),
+        ({"weight1": np.ones((64, 63))}, "weight 1 must have shape (64, 64); got (64, 63)."),
+        ({"weight0": np.ones(8)}, "weight 0 must have shape (64, 8); got (8,)."),
+        ({"bias2": np.ones((1, 1))}, "bias 2 must have shape (m,); got (1, 1)."),
+        ({"scales": np.ones(3)}, "scales must have shape (4,); got (3,)."),
+        ({"force_limit": np.array(-1.0)}, "force_limit must be finite and greater than 0; got -1.0."),
+        ({"period": np.array(np.nan)}, "period must be finite and greater than 0; got nan."),
+        ({"activation": np.array("gelu")}, "activation must be one of 'tanh', 'relu'; got 'gelu'."),
+        ({"squash": np.array("none")}, "squash must be one of 'tanh', 'clip'; got 'none'."),
+        ({"kind": np.array("oracle")}, "an unknown kind of policy, 'oracle'"),
+        ({"format": np.array("dpend policy 1")}, "another format"),
+        ({"weight7": np.ones((1, 1)), "bias7": np.ones(1)}, "expected arrays weight0, weight1, weight2, weight3, "),
+        ({"about": np.array("{")}, "Expecting property name"),
+    ],
+)
+def test_a_file_that_holds_nonsense_is_refused_even_with_a_good_checksum(changes, why, tmp_path):
+    file = SAVED["mlp"].save(tmp_path / "policy.npz")
+    arrays = stored(file) | changes
+    arrays["checksum"] = np.array(_checksum({name: array for name, array in arrays.items() if name != "checksum"}))
+    np.savez(file, **arrays)
+    assert why in refused(file)
+
+
+@pytest.mark.parametrize("lacking", ["format", "kind", "about", "checksum", "weight1", "scales"])
+def test_a_file_that_lacks_something_is_refused(lacking, tmp_path):
+    file = SAVED["mlp"].save(tmp_path / "policy.npz")
+    arrays = stored(file)
+    del arrays[lacking]
+    if lacking != "checksum":
+        arrays["checksum"] = np.array(_checksum({name: array for name, array in arrays.items() if name != "checksum"}))
+    np.savez(file, **arrays)
+    refused(file)
+
+
+class Mischief:
+    def __init__(self, file):
+        self.file = file
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.file),)
+
+
+def test_pickled_objects_in_a_file_are_refused_and_never_run(tmp_path):
+    made = tmp_path / "made"
+    file = SAVED["mlp"].save(tmp_path / "policy.npz")
+    for name in ("format", "kind", "weight0", "checksum"):
+        arrays = stored(SAVED["mlp"].save(file))
+        arrays[name] = np.array([Mischief(made)], dtype=object)
+        np.savez(file, allow_pickle=True, **arrays)
+        assert "allow_pickle=False" in refused(file)
+    assert not made.exists()
+
+
+def test_a_name_that_is_not_shipped_is_told_the_nearest():
+    with pytest.raises(FileNotFoundError, match=r"^There is no file and no shipped policy 'ppo-swing-upp'\."):
+        load_policy("ppo-swing-upp")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda: Network([], []), "Expected as many biases as weights, at least one; got 0 and 0."),
+        (lambda: Network([np.ones((1, 2))], []), "Expected as many biases as weights, at least one; got 0 and 1."),
+        (
+            lambda: MLPPolicy(network(7), scales=np.ones(4), force_limit=1.0, period=0.02),
+            "The network must have 8 inputs, or 9 with its last action, and 1 output; got 7 and 1.",
+        ),
+    ],
+)
+def test_networks_that_do_not_fit_are_refused(change, message):
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        change()
+
+
+def test_a_state_takes_less_than_twenty_microseconds_in_batches_of_a_thousand():
+    act = policy(period=1e-6).start(1000, np.random.default_rng(0))
+    y = states(1000)
+    taken = []
+    for k in range(30):
+        began = time.perf_counter()
+        act(float(k), y)
+        taken.append(time.perf_counter() - began)
+    assert min(taken) / 1000 < 20e-6

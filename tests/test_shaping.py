@@ -1,0 +1,75 @@
+"""What deep learners see and are rewarded for: bounds, symmetries, and the mixture of starts."""
+
+import numpy as np
+import pytest
+
+import dpend
+from dpend import Balance, SwingUp
+from rl.shaping import Shaped, observation_scales, observe
+
+RIG = dpend.rig("gustafsson2016")
+SHAPED = Shaped(task=SwingUp(), rig=RIG, mixture=[SwingUp(), Balance()], steps=100)
+
+
+def some_states(n=200, seed=0):
+    return np.random.default_rng(seed).normal(scale=(1, 3, 3, 3, 5, 5), size=(n, 6))
+
+
+def reward(x):
+    return -SHAPED.cost(x, np.zeros(len(x), dtype=np.uint8))
+
+
+def test_the_reward_is_greatest_upright_at_rest_in_the_middle():
+    assert reward(np.zeros((1, 6))) == 1.0
+    assert (reward(some_states()) < 1.0).all()
+    assert (reward(some_states()) >= 0.0).all()
+
+
+def test_the_reward_hanging_at_rest_is_nothing():
+    np.testing.assert_allclose(reward(dpend.EQUILIBRIA["down-down"][None]), 0.0, atol=1e-8)
+
+
+def test_a_failure_costs_five():
+    x = some_states(2)
+    alive, failed = np.array([0, 0], dtype=np.uint8), np.array([0, 1], dtype=np.uint8)
+    np.testing.assert_allclose(SHAPED.cost(x, failed) - SHAPED.cost(x, alive), [0, 5])
+
+
+def test_the_mirrored_state_is_as_good():
+    np.testing.assert_allclose(reward(some_states()), reward(-some_states()), rtol=1e-14)
+
+
+def test_whole_turns_are_neither_seen_nor_rewarded():
+    x = some_states()
+    turned = x + 2 * np.pi * np.array([0, 1, -2, 0, 0, 0])
+    np.testing.assert_allclose(reward(turned), reward(x), rtol=1e-12)
+    scales = observation_scales(RIG)
+    np.testing.assert_allclose(observe(turned, scales), observe(x, scales), atol=1e-12)
+
+
+def test_the_mirrored_state_is_seen_mirrored():
+    scales = observation_scales(RIG)
+    signs = np.array([-1, -1, 1, -1, 1, -1, -1, -1, -1])
+    last = np.linspace(-1, 1, 200)
+    np.testing.assert_allclose(observe(-some_states(), scales, -last), signs * observe(some_states(), scales, last))
+
+
+def test_the_end_of_the_track_is_seen_as_one():
+    scales = observation_scales(RIG)
+    assert observe(np.array([[2.4, 0, 0, 0, 0, 0]]), scales)[0, 0] == 1.0
+    assert np.isfinite(observation_scales(RIG.replace(track_limit=np.inf))).all()
+
+
+def test_starts_come_from_every_task_of_the_mixture_equally_often():
+    starts = SHAPED.starts(np.random.default_rng(0), 10_000, RIG)
+    hanging = (starts == dpend.EQUILIBRIA["down-down"]).all(axis=1)
+    near = np.abs(starts[:, 1:3]).max(axis=1) <= 0.1
+    assert (hanging ^ near).all()
+    assert hanging.mean() == pytest.approx(0.5, abs=0.02)
+
+
+def test_it_ends_as_its_task_does():
+    x = some_states()
+    x[::2, 0] = 3.0
+    np.testing.assert_array_equal(SHAPED.ended(x, RIG), SwingUp().ended(x, RIG))
+    np.testing.assert_array_equal(SHAPED.upright(x), SwingUp().upright(x))
