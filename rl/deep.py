@@ -54,11 +54,11 @@ _OFF_POLICY: dict[str, Any] = {
 DEFAULTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "ppo": {
-            "steps": 8_000_000,
+            "steps": 5_000_000,
             "copies": 512,
             "batch": 4096,
-            "learning_rate": (5e-4, 5e-5),
-            "updates": 4 / 4096,
+            "learning_rate": (1e-3, 1e-4),
+            "updates": 10 / 4096,
             "noise": math.exp(-0.5),
             "evaluate_every": 262_144,
         },
@@ -283,7 +283,7 @@ def training_envs(recipe: DeepRecipe) -> gym.vector.VectorEnv[Any, Any, Any]:
         task = SwingUp()
         mixture = [SwingUp(start=start, spread=0.1) for start in ("hanging", "side")]
         if recipe.starts == "mixed":
-            mixture = [*mixture, Balance(lam=0.3), SwingUp(start="anywhere")]
+            mixture = [*mixture, Balance(lam=0.1), SwingUp(start="anywhere")]
     seconds = EPISODE if recipe.task == "swing-up" else task.steps * rig.sample_time
     shaped = Shaped(task=task, rig=rig, mixture=mixture, steps=max(round(seconds / recipe.period), 1))
     return CartDoublePendulumVectorEnv(shaped, slow, recipe.copies, autoreset_mode=AutoresetMode.SAME_STEP)

@@ -243,8 +243,8 @@ class Network:
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Give what is saved, by name."""
-        layers = {f"weight{i}": weight for i, weight in enumerate(self.weights)}
-        layers |= {f"bias{i}": bias for i, bias in enumerate(self.biases)}
+        layers = {f"weight{i}": _shortest(weight) for i, weight in enumerate(self.weights)}
+        layers |= {f"bias{i}": _shortest(bias) for i, bias in enumerate(self.biases)}
         return layers | {"activation": np.array(self.activation), "squash": np.array(self.squash)}
 
     @classmethod
@@ -464,6 +464,12 @@ def _checksum(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
         array = np.ascontiguousarray(arrays[name])
         digest.update(f"{name}\0{array.dtype.str}\0{array.shape}\0".encode() + array.tobytes())
     return digest.hexdigest()
+
+
+def _shortest(array: Array) -> npt.NDArray[np.floating[Any]]:
+    """Give an array in single precision where that loses nothing, as of what was learned in it."""
+    single = array.astype(np.float32)
+    return single if (single == array).all() else array
 
 
 def _vector(name: str, value: npt.ArrayLike, length: int | None) -> Array:

@@ -17,9 +17,12 @@ from stable_baselines3 import DDPG, PPO, SAC, TD3
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
-from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.policies import ActorCriticPolicy, ContinuousCritic
+from stable_baselines3.common.torch_layers import create_mlp
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.sac.policies import SACPolicy
+from stable_baselines3.td3.policies import TD3Policy
 
 from dpend.params import Array
 
@@ -173,6 +176,37 @@ class CAPSPolicy(ActorCriticPolicy):
         return self.action_net(self.mlp_extractor.forward_actor(observations)).clamp(-1.0, 1.0)
 
 
+def _normalised(critic: ContinuousCritic, width: int, net: Sequence[int]) -> ContinuousCritic:
+    """Give a critic whose hidden layers are normalised before they are activated."""
+    for i in range(len(critic.q_networks)):
+        layers = create_mlp(width, 1, list(net), torch.nn.ReLU, post_linear_modules=[torch.nn.LayerNorm])
+        critic.q_networks[i] = torch.nn.Sequential(*layers)
+        critic.add_module(f"qf{i}", critic.q_networks[i])
+    return critic
+
+
+class NormalisedTD3Policy(TD3Policy):
+    """Actor and critics of DDPG and TD3, with layer normalisation in the critics."""
+
+    def make_critic(self, features_extractor: Any = None) -> ContinuousCritic:
+        """Give a critic."""
+        critic = super().make_critic(features_extractor)
+        return _normalised(critic, _width(self), cast(Any, self.net_arch))
+
+
+class NormalisedSACPolicy(SACPolicy):
+    """Actor and critics of SAC, with layer normalisation in the critics."""
+
+    def make_critic(self, features_extractor: Any = None) -> ContinuousCritic:
+        """Give a critic."""
+        critic = super().make_critic(features_extractor)
+        return _normalised(critic, _width(self), cast(Any, self.net_arch))
+
+
+def _width(policy: Any) -> int:
+    return int(np.prod(policy.observation_space.shape)) + int(np.prod(policy.action_space.shape))
+
+
 class Learner:
     """A model of Stable-Baselines3 in its environments.
 
@@ -227,8 +261,9 @@ class Learner:
         noise = None
         if recipe.algo != "sac":
             noise = NormalActionNoise(np.zeros(size), np.full(size, recipe.noise))
+        normalised = NormalisedSACPolicy if recipe.algo == "sac" else NormalisedTD3Policy
         return {"ddpg": DDPG, "td3": TD3, "sac": SAC}[recipe.algo](
-            "MlpPolicy",
+            cast(Any, normalised) if recipe.layer_norm else "MlpPolicy",
             self._env,
             buffer_size=recipe.steps,
             learning_starts=min(_WARM_UP, recipe.steps // 10),

@@ -7,7 +7,7 @@ r"""What deep learners see and are rewarded for: a map from states to observatio
             \bigl(1 - \tfrac{3}{10}(p/s_p)^2\bigr) - 5\,[\text{failed}]
 
 with the height :math:`h = \tfrac12 + \tfrac12(L_1\cos\theta_1 + L_2\cos\theta_2)/(L_1 + L_2)` of the tip and the calm
-:math:`k = e^{-(\omega_1^2 + \omega_2^2)/2s_\omega^2}`.  The scales follow from the rig: :math:`s_p` is the end of the
+:math:`k = e^{-2(\omega_1^2 + \omega_2^2)/s_\omega^2}`.  The scales follow from the rig: :math:`s_p` is the end of the
 track, :math:`s_\omega = 2\sqrt{g/L}` with the mean length :math:`L`, and :math:`s_v = s_\omega L/2`.
 """
 
@@ -121,7 +121,7 @@ class Shaped:
         cos1, cos2 = np.cos(x[:, 1]), np.cos(x[:, 2])
         height = 0.5 + 0.5 * (self._shares[0] * cos1 + self._shares[1] * cos2)
         rates = x[:, 4:] / self._scales[2:]
-        calm = np.exp(-0.5 * (rates**2).sum(axis=1))
+        calm = np.exp(-2.0 * (rates**2).sum(axis=1))
         near = np.exp(-5.0 * (2.0 - cos1 - cos2))
         central = 1.0 - 0.3 * np.minimum((x[:, 0] / self._scales[0]) ** 2, 1.0)
         reward = (0.5 * height * (0.5 + 0.5 * calm) + 0.5 * near) * central

@@ -6,7 +6,6 @@ stopped in any way goes on when the same command is given again; a finished one 
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import signal
 import sys
@@ -14,6 +13,7 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
 from dataclasses import dataclass
+from importlib.util import find_spec
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from queue import Empty
@@ -128,7 +128,7 @@ def main(arguments: Sequence[str] | None = None) -> list[DeepTraining]:
         recipe = options.recipe
     except (TypeError, ValueError) as error:
         return _refuse(console, str(error))
-    if not all(importlib.util.find_spec(name) for name in ("torch", "stable_baselines3")):
+    if not all(find_spec(name) for name in ("torch", "stable_baselines3")):
         return _refuse(console, INSTALL)
     out = options.out or Path("results") / "deep" / recipe.name
     command = "python -m rl.train " + " ".join(sys.argv[1:] if arguments is None else arguments)

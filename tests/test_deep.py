@@ -1,0 +1,311 @@
+"""Deep learning: the adapter against the stepper, exported policies against their models, trainings that go on."""
+
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dpend
+from rl import DeepRecipe, MLPPolicy, Network, train_deep
+from rl.deep import DEFAULTS, INSTALL, evaluate, read_curve, swing_up_starts, training_envs
+from rl.shaping import observation_scales, observe
+from tests.rigs import whole
+
+ROOT = Path(__file__).parent.parent
+RIG = dpend.rig("gustafsson2016")
+needs_torch = pytest.mark.skipif(
+    not (find_spec("torch") and find_spec("stable_baselines3")),
+    reason="training needs torch and Stable-Baselines3, the extra `deep`",
+)
+SMALL = {"steps": 2048, "copies": 16, "batch": 64, "net": (16, 16), "evaluate_every": 1024, "evaluation_starts": 4}
+
+
+def small(algo="ppo", **changes):
+    return DeepRecipe(**({"algo": algo} | SMALL | changes))
+
+
+# -------------------------------------------------------------------------------------------------------------- recipes
+
+
+@pytest.mark.parametrize("algo", DEFAULTS)
+def test_a_recipe_takes_what_it_is_not_told_from_its_algorithm(algo):
+    recipe = DeepRecipe(algo=algo)
+    assert {name: getattr(recipe, name) for name in DEFAULTS[algo]} == DEFAULTS[algo]
+    assert DeepRecipe(algo=algo, steps=7).steps == 7
+
+
+@pytest.mark.parametrize("preset", dpend.rigs())
+@pytest.mark.parametrize("task", ["swing-up", "balance"])
+def test_every_rig_with_a_force_limit_can_be_trained_on(preset, task):
+    rig = dpend.rig(preset)
+    if not np.isfinite(rig.force_limit):
+        with pytest.raises(
+            ValueError, match=r"^Actions are shares of the force limit: expected a finite one; got inf\."
+        ):
+            DeepRecipe(rig=rig, task=task)
+        return
+    recipe = DeepRecipe(rig=rig, task=task, copies=3)
+    assert recipe.period >= rig.sample_time
+    assert recipe.period <= max(0.04, rig.sample_time)
+    envs = training_envs(recipe)
+    envs.reset(seed=0)
+    _, rewards, *_ = envs.step(np.zeros((3, 1)))
+    assert np.isfinite(rewards).all()
+
+
+def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_balancing():
+    assert (DeepRecipe().samples, DeepRecipe(task="balance").samples) == (2, 1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"algo": "ppp"}, "There is no algo 'ppp'. Did you mean 'ppo'?"),
+        ({"task": "swingup"}, "There is no task 'swingup'. Did you mean 'swing-up'?"),
+        ({"starts": "resting"}, "There is no starts 'resting'. Did you mean 'rest'?"),
+        ({"steps": -1}, "steps must be a whole number, at least 1; got -1."),
+        ({"gamma": 1.0}, "gamma must be between 0 and 1; got 1.0."),
+        ({"net": ()}, "net must be one or more widths, at least 1; got ()."),
+        ({"action_rate": -1.0}, "action_rate must be at least 0; got -1.0."),
+        ({"algo": "sac", "caps": (1.0, 1.0, 0.1)}, "caps is for PPO; got algo 'sac'. Use action_rate."),
+        ({"period": 0.03}, "period must be a whole number of samples of 0.02 s; got 0.03 s."),
+        (
+            {"rig": RIG.replace(sensor_noise=0.1), "period": 0.04},
+            "Forces can be held for several samples on ideal rigs only; got one with lag, delay, noise or rounding: "
+            "expected period = 0.02 s, the sample time.",
+        ),
+        ({"rig": RIG.replace(mass1=[0.5, 0.6])}, "A recipe has one rig; this one describes 2 rows."),
+        (
+            {"env": "InvertedDoublePendulum-v5", "action_rate": 1.0},
+            "action_rate is for our own plant; another environment has its own reward.",
+        ),
+    ],
+)
+def test_recipes_that_make_no_sense_are_refused(changes, message):
+    with pytest.raises(ValueError, match=whole(message)):
+        DeepRecipe(**changes)
+
+
+def test_half_the_swing_ups_start_hanging_and_half_to_the_side():
+    starts = swing_up_starts(np.random.default_rng(0), 10, RIG)
+    assert np.abs(starts[:5, 1:3] - np.pi).max() <= 0.05
+    assert np.abs(starts[5:, 1:3] - np.pi / 2).max() <= 0.05
+    assert (starts[:, [0, 3, 4, 5]] == 0).all()
+
+
+def test_a_policy_that_does_nothing_never_swings_up():
+    idle = MLPPolicy(Network([np.zeros((1, 8))], [[0.0]]), scales=np.ones(4), force_limit=40.0, period=0.04)
+    success, variation = evaluate(idle, "swing-up", RIG, 10, 0)
+    assert success == 0.0
+    assert np.isnan(variation)
+
+
+# ------------------------------------------------------------------------------------------------------------ training
+
+
+def test_holding_a_force_is_stepping_twice():
+    recipe = DeepRecipe(copies=4)
+    envs = training_envs(recipe)
+    assert isinstance(envs, dpend.vector_env.CartDoublePendulumVectorEnv)
+    envs.reset(seed=0)
+    stepper = dpend.Stepper(RIG, 4)
+    stepper.reset(envs.state)
+    for share in np.random.default_rng(0).uniform(-0.2, 0.2, (10, 4, 1)):
+        envs.step(share)
+        stepper.step(40.0 * share[:, 0])
+        stepper.step(40.0 * share[:, 0])
+        np.testing.assert_allclose(envs.state, stepper.x, rtol=1e-12, atol=1e-12)
+
+
+@needs_torch
+@pytest.mark.parametrize("action_rate", [0.0, 0.3])
+def test_the_adapter_gives_the_observations_and_rewards_of_its_equations(action_rate):
+    from rl.sb3 import Copies
+
+    recipe = DeepRecipe(copies=8, action_rate=action_rate)
+    copies, envs = Copies(training_envs(recipe), recipe), training_envs(recipe)
+    copies.seed(3)
+    o = copies.reset()
+    y, _ = envs.reset(seed=3)
+    scales, rng, last, ended = observation_scales(RIG), np.random.default_rng(0), np.zeros(8), 0
+
+    def seen(states, last):
+        return observe(states, scales, last if action_rate else None).astype(np.float32)
+
+    np.testing.assert_array_equal(o, seen(y, last))
+    for _ in range(260):
+        actions = rng.uniform(-1, 1, (8, 1)).astype(np.float32)
+        o, rewards, dones, infos = copies.step(actions)
+        y, expected, terminated, truncated, told = envs.step(actions)
+        a = actions[:, 0].astype(float)
+        expected = expected - 0.005 * a**2 - action_rate * (a - last) ** 2
+        np.testing.assert_allclose(rewards, expected, rtol=1e-6, atol=1e-6)
+        np.testing.assert_array_equal(dones, terminated | truncated)
+        for i in np.flatnonzero(dones):
+            final = seen(told["final_obs"][i][None], a[i : i + 1])[0]
+            np.testing.assert_array_equal(infos[i]["terminal_observation"], final)
+            assert infos[i]["TimeLimit.truncated"] == (truncated[i] and not terminated[i])
+        last = np.where(dones, 0.0, a)
+        np.testing.assert_array_equal(o, seen(y, last))
+        ended += dones.sum()
+    assert ended >= 8
+
+
+@needs_torch
+@pytest.mark.parametrize(
+    "recipe",
+    [
+        small("ppo"),
+        small("ppo", action_rate=0.1, caps=(1.0, 1.0, 0.1)),
+        small("ddpg"),
+        small("td3", layer_norm=True),
+        small("sac"),
+    ],
+    ids=["ppo", "smooth", "ddpg", "td3", "sac"],
+)
+def test_an_exported_policy_acts_as_its_model(recipe):
+    from rl.sb3 import Learner
+
+    learner = Learner(recipe, 0)
+    learner.learn(1024)
+    x = np.random.default_rng(0).normal(scale=(1, 3, 3, 3, 6, 6), size=(500, 6))
+    last = np.random.default_rng(1).uniform(-1, 1, 500) if recipe.action_rate else None
+    o = observe(x, observation_scales(RIG), last)
+    of_model = np.clip(learner.act(o.astype(np.float32)), -1, 1)
+    np.testing.assert_allclose(learner.network()(o), of_model, rtol=0, atol=1e-5)
+    assert np.ptp(of_model) > 1e-3
+
+
+@needs_torch
+def test_caps_pairs_observations_with_those_that_follow_and_takes_both_losses_off():
+    import torch
+
+    from rl.sb3 import CAPSPolicy, Learner
+
+    learner = Learner(small("ppo", caps=(2.0, 0.0, 0.1)), 0)
+    model = learner._model
+    learner.learn(1024)
+    buffer = model.rollout_buffer
+    observations = (
+        buffer.swap_and_flatten(buffer.observations) if buffer.observations.ndim == 3 else buffer.observations
+    )
+    samples = next(buffer.get(1024))
+    now, following = samples.observations.numpy()[:, :8], samples.observations.numpy()[:, 8:]
+    order = {row.tobytes(): i for i, row in enumerate(observations)}
+    index = np.array([order[row.tobytes()] for row in now])
+    starts = buffer.episode_starts.reshape(64, 16).T.ravel() if buffer.episode_starts.ndim == 2 else None
+    ended = (index + 1) % 64 == 0
+    if starts is not None:
+        ended |= starts[(index + 1) % len(starts)] > 0
+    expected = np.where(ended[:, None], now, observations[(index + 1) % len(observations)])
+    np.testing.assert_array_equal(following, expected)
+    policy = model.policy
+    assert isinstance(policy, CAPSPolicy)
+    with torch.no_grad():
+        minus_loss = policy.evaluate_actions(samples.observations, samples.actions)[2].numpy()
+    network = learner.network()
+    gap = np.abs(network(now.astype(float)) - network(following.astype(float)))[:, 0]
+    np.testing.assert_allclose(minus_loss, -2.0 * gap, atol=1e-5)
+
+
+@needs_torch
+@pytest.mark.parametrize("algo", ["ppo", "sac"])
+def test_a_training_that_was_stopped_goes_on_and_a_finished_one_is_left_as_it_is(algo, tmp_path):
+    class Stopped(Exception):
+        pass
+
+    def stop(seen):
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        train_deep(small(algo), 0, out=tmp_path, progress=stop)
+    kept = read_curve(tmp_path / "curve.csv")
+    assert [seen.steps for seen in kept] == [1024]
+    training = train_deep(small(algo), 0, out=tmp_path)
+    assert [seen.steps for seen in training.curve] == [1024, 2048]
+    assert training.curve[0].success == kept[0].success
+    assert training.curve[1].cpu_seconds > training.curve[0].cpu_seconds
+    content = (tmp_path / "checkpoint.pt").read_bytes()
+    again = train_deep(small(algo), 0, out=tmp_path)
+    assert repr(again.curve) == repr(training.curve)  # as words, since NaN differs from itself
+    assert (tmp_path / "checkpoint.pt").read_bytes() == content
+    for mine, theirs in zip(again.policy.network.weights, training.policy.network.weights, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+
+
+@needs_torch
+def test_the_same_seed_learns_the_same_and_another_something_else():
+    one, same, other = (train_deep(small(), seed).policy.network.weights[0] for seed in (0, 0, 1))
+    assert (one == same).all()
+    assert (one != other).any()
+
+
+@needs_torch
+def test_a_folder_of_another_training_is_refused(tmp_path):
+    train_deep(small(steps=1024), 0, out=tmp_path)
+    message = f"{tmp_path} holds another training: recipe.json has other settings. Choose another folder."
+    for recipe, seed in ((small(steps=1024), 1), (small(steps=1024, gamma=0.9), 0)):
+        with pytest.raises(ValueError, match=whole(message)):
+            train_deep(recipe, seed, out=tmp_path)
+
+
+@needs_torch
+@pytest.mark.slow
+def test_a_small_budget_learns_to_balance():
+    recipe = DeepRecipe(task="balance", steps=1_000_000, copies=128, evaluate_every=100_000, evaluation_starts=100)
+    training = train_deep(recipe, 0)
+    assert training.best.success > training.curve[0].success + 0.2
+
+
+# -------------------------------------------------------------------------------------------------------- without torch
+
+
+def run_python(program, *, without=()):
+    hide = "".join(f"sys.modules[{name!r}] = None; " for name in without)
+    return subprocess.run(
+        [sys.executable, "-c", f"import sys; {hide}{program}"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+
+
+def test_importing_the_learners_loads_no_torch():
+    done = run_python("import rl; print([name for name in ('torch', 'stable_baselines3') if name in sys.modules])")
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
+def test_without_torch_training_says_what_to_install():
+    done = run_python("import rl; rl.train_deep(rl.DeepRecipe())", without=("torch", "stable_baselines3"))
+    assert done.stderr.rstrip().splitlines()[-1] == f"ImportError: {INSTALL}"
+
+
+def test_without_torch_the_command_line_says_what_to_install():
+    program = "from rl import train; train.find_spec = lambda name: None; train.main(['--algo', 'ddpg'])"
+    done = run_python(program)
+    assert done.returncode == 2
+    assert " ".join(done.stderr.split()) == f"Error: {INSTALL}"
+
+
+def test_the_command_line_refuses_bad_settings_before_anything_runs(capsys):
+    from rl import train
+
+    with pytest.raises(SystemExit):
+        train.main(["--rig", "gustafson2016"])
+    assert "There is no preset rig 'gustafson2016'. Did you mean 'gustafsson2016'?" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        train.main(["--seeds", "0"])
+    assert re.search(r"--seeds must be at least 1; got 0\.", capsys.readouterr().err)
+
+
+@needs_torch
+def test_several_seeds_are_trained_side_by_side(tmp_path, capsys):
+    from rl import train
+
+    small_ones = ["--steps", "1024", "--copies", "16", "--batch", "64", "--evaluate-every", "1024"]
+    trainings = train.main([*small_ones, "--seeds", "2", "--workers", "2", "--out", str(tmp_path)])
+    assert [training.policy.about["seed"] for training in trainings] == [0, 1]
+    assert trainings[0].policy.about["command"].startswith("python -m rl.train --steps 1024")
+    assert (tmp_path / "seed-1" / "policy.npz").exists()
+    assert "environment steps" in capsys.readouterr().out
