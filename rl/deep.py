@@ -122,7 +122,9 @@ class DeepRecipe:
     evaluate_every : int
         Environment steps between evaluations.
     evaluation_starts : int
-        Starts of an evaluation, the same at each; even.
+        Starts of an evaluation, the same at each.
+    enough : float
+        Share of success in an evaluation that ends the training; at zero, all steps are taken.
 
     Raises
     ------
@@ -149,6 +151,7 @@ class DeepRecipe:
     layer_norm: bool = False
     evaluate_every: int = 0
     evaluation_starts: int = 400
+    enough: float = 0.0
 
     def __post_init__(self) -> None:
         for name, known in (("algo", DEFAULTS), ("task", ("swing-up", "balance")), ("starts", ("mixed", "rest"))):
@@ -190,6 +193,7 @@ class DeepRecipe:
             ("gamma", 0 < self.gamma < 1, "between 0 and 1"),
             ("noise", 0 < self.noise < math.inf, "greater than 0"),
             ("action_rate", 0 <= self.action_rate < math.inf, "at least 0"),
+            ("enough", 0 <= self.enough <= 1, "within 0 and 1"),
             ("caps", len(self.caps) == 3 and min(self.caps) >= 0, "three numbers, at least 0"),
             ("net", len(self.net) > 0 and min(self.net) >= 1, "one or more widths, at least 1"),
         ):
@@ -425,7 +429,7 @@ def train_deep(
             progress(curve[-1])
     wall, cpu = (curve[-1].wall_seconds, curve[-1].cpu_seconds) if curve else (0.0, 0.0)
     wall_began, cpu_began = time.perf_counter() - wall, time.process_time() - cpu
-    while learner.steps < recipe.steps:
+    while learner.steps < recipe.steps and not (recipe.enough and curve and curve[-1].success >= recipe.enough):
         learner.learn(min(recipe.evaluate_every, recipe.steps - learner.steps))
         network = learner.network()
         policy = _policy(recipe, seed, command, network, None)

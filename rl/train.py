@@ -78,6 +78,8 @@ class Options:
     """Normalise the layers of the critics of DDPG, TD3 and SAC."""
     evaluate_every: int = 0
     """Environment steps between evaluations."""
+    enough: float = 0.0
+    """Share of success in an evaluation that ends a training; at zero, all steps are taken."""
 
     def __post_init__(self) -> None:
         for name, least in (("seed", 0), ("seeds", 1), ("workers", 1)):
@@ -106,6 +108,7 @@ class Options:
             caps=self.caps,
             layer_norm=self.layer_norm,
             evaluate_every=self.evaluate_every,
+            enough=self.enough,
         )
 
 

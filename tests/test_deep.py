@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+import time
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -25,7 +26,8 @@ SMALL = {"steps": 2048, "copies": 16, "batch": 64, "net": (16, 16), "evaluate_ev
 
 
 def small(algo="ppo", **changes):
-    return DeepRecipe(**({"algo": algo} | SMALL | changes))
+    few = {} if algo == "ppo" else {"updates": 1 / 16}  # one a step of all copies
+    return DeepRecipe(**({"algo": algo} | SMALL | few | changes))
 
 
 # -------------------------------------------------------------------------------------------------------------- recipes
@@ -300,6 +302,32 @@ def test_the_command_line_refuses_bad_settings_before_anything_runs(capsys):
 
 
 @needs_torch
+def test_a_training_ends_with_the_first_evaluation_that_is_good_enough():
+    assert len(train_deep(small(task="balance", enough=0.5), 0).curve) == 2
+    assert len(train_deep(small(task="balance", enough=1e-9), 0).curve) == 2
+
+
+@needs_torch
+@pytest.mark.slow
+def test_killed_in_the_middle_and_started_again_it_goes_on(tmp_path):
+    small_ones = ["--steps", "40960", "--copies", "16", "--batch", "64", "--evaluate-every", "1024"]
+    command = [sys.executable, "-m", "rl.train", *small_ones, "--out", str(tmp_path)]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while not (tmp_path / "seed-0" / "curve.csv").exists():
+        time.sleep(0.02)
+        assert process.poll() is None
+    process.kill()
+    process.wait()
+    before = read_curve(tmp_path / "seed-0" / "curve.csv")
+    assert 1 <= len(before) < 40
+    subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
+    after = read_curve(tmp_path / "seed-0" / "curve.csv")
+    assert repr(after[: len(before)]) == repr(before)
+    assert [seen.steps for seen in after] == list(range(1024, 40961, 1024))
+
+
+@needs_torch
+@pytest.mark.slow
 def test_several_seeds_are_trained_side_by_side(tmp_path, capsys):
     from rl import train
 

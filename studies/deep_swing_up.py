@@ -1,0 +1,178 @@
+"""Which deep learners swing the double pendulum up, and after how much experience?
+
+Method: every training under ``docs/results/deep`` (``--runs``) was made by ``python -m rl.train`` from zero knowledge
+and kept its evaluation curve and its best policy, chosen on starts of its own.  Here each policy meets 1000 fresh
+starts on gustafsson2016: for the swing-up half hanging and half level to the side, each angle within 0.05 rad, ten
+seconds, the last of them with both links within 0.2 rad of upright; for balancing θ1, θ2 ~ U[-0.3, 0.3] for 300
+samples.  Intervals are 95 % over trainings.  Variation is that of the force over the last four seconds of the runs that
+succeed.
+
+Finding: FINDING
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, PercentFormatter
+from rich.console import RenderableType
+from rich.table import Table
+
+import dpend
+from dpend.params import Array
+from rl import MLPPolicy, load_policy
+from rl.deep import evaluate, read_curve
+
+from . import _study
+from ._intervals import over_seeds
+from ._study import Job, Result, Traces
+
+RUNS = Path(__file__).parent.parent / "docs" / "results" / "deep"
+"""Where the trainings are kept, a folder each: what was learned by what, and the seed."""
+
+_FRESH = 1000  # starts
+_STREAM = 9241  # sets these starts apart from those of training and evaluation
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#777777", "#000000")
+_LINES = ("-", "--", "-.", ":")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(_study.Options):
+    """What can be told on the command line."""
+
+    runs: Path = RUNS
+    """Folder of the trainings."""
+    starts: int = _FRESH
+    """Fresh starts that each policy meets."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.starts < 2:
+            raise ValueError(f"--starts must be at least 2; got {self.starts}.")
+        if not list(self.runs.glob("*/seed-*/policy.npz")):
+            raise ValueError(f"--runs {self.runs} holds no trainings; make some with python -m rl.train.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One training."""
+
+    learner: str
+    training: int
+    """Its seed."""
+    starts: int
+    successes: int
+    variation: float
+    """Of the force, over the last four seconds of the runs that succeed, in force limits per second."""
+    steps: int
+    """Environment steps of the whole training."""
+    steps_to_best: int
+    steps_to_half: int
+    """Steps until an evaluation first saw half of its starts succeed; -1 where none did."""
+    steps_to_most: int
+    """The same for 95 %."""
+    step_seconds: float
+    """Simulated time in a step, s."""
+    cpu_seconds: float
+    wall_seconds: float
+
+
+def jobs(options: Options) -> list[Job]:
+    """List the work: the trainings of our own plant."""
+    found = []
+    for file in sorted(options.runs.glob("*/seed-*/policy.npz"), key=lambda file: (file.parts[-3], _seed(file))):
+        if not json.loads((file.parent / "recipe.json").read_text(encoding="utf-8"))["recipe"]["env"]:
+            found.append(Job(file.parts[-3], _seed(file)))
+    if options.quick:
+        first = {job.setting: job for job in reversed(found)}
+        return list(first.values())[:3]
+    return found
+
+
+def _seed(file: Path) -> int:
+    return int(file.parts[-2].removeprefix("seed-"))
+
+
+def run(job: Job, options: Options) -> Result:
+    """Meet fresh starts, and read what the training wrote."""
+    folder = options.runs / job.setting / f"seed-{job.repetition}"
+    policy = load_policy(folder / "policy.npz")
+    assert isinstance(policy, MLPPolicy)
+    recipe = policy.about["recipe"]
+    n = 20 if options.quick else options.starts
+    rig = dpend.Rig.from_dict(recipe["rig"])
+    success, variation = evaluate(policy, recipe["task"], rig, n, [_STREAM, options.seed])
+    curve = read_curve(folder / "curve.csv")
+    row = Row(
+        learner=job.setting,
+        training=job.repetition,
+        starts=n,
+        successes=round(success * n),
+        variation=variation,
+        steps=curve[-1].steps,
+        steps_to_best=policy.about["evaluation"]["steps"],
+        steps_to_half=next((seen.steps for seen in curve if seen.success >= 0.5), -1),
+        steps_to_most=next((seen.steps for seen in curve if seen.success >= 0.95), -1),
+        step_seconds=policy.period,
+        cpu_seconds=curve[-1].cpu_seconds,
+        wall_seconds=curve[-1].wall_seconds,
+    )
+    traces = {"steps": np.array([seen.steps for seen in curve]), "success": np.array([seen.success for seen in curve])}
+    return Result([row], traces)
+
+
+def plot(rows: list[Row], traces: Traces) -> Figure:
+    """Draw success against environment steps: medians over trainings, each training thin."""
+    names = list(dict.fromkeys(row.learner for row in rows))
+    figure = Figure(figsize=(6.3, 3.6 + 0.22 * len(names)), layout="constrained")
+    axis: Axes = figure.subplots()
+    for place, name in enumerate(names):
+        colour, line = _COLOURS[place % len(_COLOURS)], _LINES[place % len(_LINES)]
+        own = [traces[_study.slug(Job(name, row.training))] for row in rows if row.learner == name]
+        for trace in own:
+            axis.plot(trace["steps"], trace["success"], color=colour, lw=0.5, alpha=0.4)
+        steps, median = _median(own)
+        axis.plot(steps, median, color=colour, ls=line, lw=1.8, label=f"{name} ({len(own)})")
+    axis.set(xscale="log", xlabel="environment steps", ylabel="starts that succeed", ylim=(-0.03, 1.03))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: f"{steps:,.0f}"))
+    axis.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
+    return figure
+
+
+def _median(traces: list[dict[str, Array]]) -> tuple[Array, Array]:
+    """Give the median over trainings at the evaluations that all of them have."""
+    length = min(len(trace["steps"]) for trace in traces)
+    return traces[0]["steps"][:length], np.median([trace["success"][:length] for trace in traces], axis=0)
+
+
+def summary(rows: list[Row]) -> RenderableType:
+    """Condense the table: success with its interval, by learner, and what learning cost."""
+    table = Table(title="Fresh starts that succeed, %, 95 % interval over trainings; medians over trainings beside")
+    for heading in ("learner", "trainings", "success", "each", "variation, u_max/s", "steps to 95 %", "steps", "CPU s"):
+        table.add_column(heading, justify="left" if heading == "learner" else "right")
+    for name in dict.fromkeys(row.learner for row in rows):
+        own = [row for row in rows if row.learner == name]
+        rate = over_seeds([row.successes for row in own], own[0].starts)
+        reached = [row.steps_to_most for row in own if row.steps_to_most > 0]
+        table.add_row(
+            name,
+            str(len(own)),
+            f"{100 * rate.share:.1f}\n\\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]",
+            " ".join(f"{100 * row.successes / row.starts:.1f}" for row in own),
+            f"{np.nanmedian([row.variation for row in own]):.3g}" if any(row.successes for row in own) else "-",
+            f"{np.median(reached):,.0f} ({len(reached)})" if reached else "-",
+            f"{own[0].steps:,}",
+            f"{np.median([row.cpu_seconds for row in own]):.0f}",
+        )
+    return table
+
+
+if __name__ == "__main__":
+    _study.main("studies.deep_swing_up")
