@@ -78,6 +78,8 @@ class Options:
     """Normalise the layers of the critics of DDPG, TD3 and SAC."""
     evaluate_every: int = 0
     """Environment steps between evaluations."""
+    evaluation_starts: int = 400
+    """Starts of an evaluation."""
     enough: float = 0.0
     """Share of success in an evaluation that ends a training; at zero, all steps are taken."""
 
@@ -108,6 +110,7 @@ class Options:
             caps=self.caps,
             layer_norm=self.layer_norm,
             evaluate_every=self.evaluate_every,
+            evaluation_starts=self.evaluation_starts,
             enough=self.enough,
         )
 

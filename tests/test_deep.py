@@ -310,7 +310,18 @@ def test_a_training_ends_with_the_first_evaluation_that_is_good_enough():
 @needs_torch
 @pytest.mark.slow
 def test_killed_in_the_middle_and_started_again_it_goes_on(tmp_path):
-    small_ones = ["--steps", "40960", "--copies", "16", "--batch", "64", "--evaluate-every", "1024"]
+    small_ones = [
+        "--steps",
+        "16384",
+        "--copies",
+        "16",
+        "--batch",
+        "64",
+        "--evaluate-every",
+        "1024",
+        "--evaluation-starts",
+        "4",
+    ]
     command = [sys.executable, "-m", "rl.train", *small_ones, "--out", str(tmp_path)]
     process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while not (tmp_path / "seed-0" / "curve.csv").exists():
@@ -319,11 +330,11 @@ def test_killed_in_the_middle_and_started_again_it_goes_on(tmp_path):
     process.kill()
     process.wait()
     before = read_curve(tmp_path / "seed-0" / "curve.csv")
-    assert 1 <= len(before) < 40
+    assert 1 <= len(before) < 16
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
     after = read_curve(tmp_path / "seed-0" / "curve.csv")
     assert repr(after[: len(before)]) == repr(before)
-    assert [seen.steps for seen in after] == list(range(1024, 40961, 1024))
+    assert [seen.steps for seen in after] == list(range(1024, 16385, 1024))
 
 
 @needs_torch
@@ -331,7 +342,18 @@ def test_killed_in_the_middle_and_started_again_it_goes_on(tmp_path):
 def test_several_seeds_are_trained_side_by_side(tmp_path, capsys):
     from rl import train
 
-    small_ones = ["--steps", "1024", "--copies", "16", "--batch", "64", "--evaluate-every", "1024"]
+    small_ones = [
+        "--steps",
+        "1024",
+        "--copies",
+        "16",
+        "--batch",
+        "64",
+        "--evaluate-every",
+        "1024",
+        "--evaluation-starts",
+        "4",
+    ]
     trainings = train.main([*small_ones, "--seeds", "2", "--workers", "2", "--out", str(tmp_path)])
     assert [training.policy.about["seed"] for training in trainings] == [0, 1]
     assert trainings[0].policy.about["command"].startswith("python -m rl.train --steps 1024")
