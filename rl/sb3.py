@@ -1,3 +1,4 @@
+# pyright: reportMissingImports=false
 r"""Stable-Baselines3 at work: the adapter of vector environments, CAPS in PPO's loss, and a learner that can go on.
 
 The only file that imports torch and Stable-Baselines3; :mod:`rl.deep` imports it when a training begins.

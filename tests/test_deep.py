@@ -1,3 +1,4 @@
+# pyright: reportMissingImports=false
 """Deep learning: the adapter against the stepper, exported policies against their models, trainings that go on."""
 
 import re
@@ -6,12 +7,14 @@ import sys
 import time
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import dpend
-from rl import DeepRecipe, MLPPolicy, Network, train_deep
+from dpend.vector_env import CartDoublePendulumVectorEnv
+from rl import DeepRecipe, MLPPolicy, Network, load_policy, train_deep
 from rl.deep import DEFAULTS, INSTALL, evaluate, read_curve, swing_up_starts, training_envs
 from rl.shaping import observation_scales, observe
 from tests.rigs import whole
@@ -22,12 +25,25 @@ needs_torch = pytest.mark.skipif(
     not (find_spec("torch") and find_spec("stable_baselines3")),
     reason="training needs torch and Stable-Baselines3, the extra `deep`",
 )
-SMALL = {"steps": 2048, "copies": 16, "batch": 64, "net": (16, 16), "evaluate_every": 1024, "evaluation_starts": 4}
+SMALL: dict[str, Any] = {
+    "steps": 2048,
+    "copies": 16,
+    "batch": 64,
+    "net": (16, 16),
+    "evaluate_every": 1024,
+    "evaluation_starts": 4,
+}
 
 
 def small(algo="ppo", **changes):
-    few = {} if algo == "ppo" else {"updates": 1 / 16}  # one a step of all copies
-    return DeepRecipe(**({"algo": algo} | SMALL | few | changes))
+    few: dict[str, Any] = {} if algo == "ppo" else {"updates": 1 / 16}  # one a step of all copies
+    settings: dict[str, Any] = {"algo": algo} | SMALL | few | changes
+    return DeepRecipe(**settings)
+
+
+def weights(training):
+    assert isinstance(training.policy, MLPPolicy)
+    return training.policy.network.weights
 
 
 # -------------------------------------------------------------------------------------------------------------- recipes
@@ -112,7 +128,7 @@ def test_a_policy_that_does_nothing_never_swings_up():
 def test_holding_a_force_is_stepping_twice():
     recipe = DeepRecipe(copies=4)
     envs = training_envs(recipe)
-    assert isinstance(envs, dpend.vector_env.CartDoublePendulumVectorEnv)
+    assert isinstance(envs, CartDoublePendulumVectorEnv)
     envs.reset(seed=0)
     stepper = dpend.Stepper(RIG, 4)
     stepper.reset(envs.state)
@@ -235,13 +251,13 @@ def test_a_training_that_was_stopped_goes_on_and_a_finished_one_is_left_as_it_is
     again = train_deep(small(algo), 0, out=tmp_path)
     assert repr(again.curve) == repr(training.curve)  # as words, since NaN differs from itself
     assert (tmp_path / "checkpoint.pt").read_bytes() == content
-    for mine, theirs in zip(again.policy.network.weights, training.policy.network.weights, strict=True):
+    for mine, theirs in zip(weights(again), weights(training), strict=True):
         np.testing.assert_array_equal(mine, theirs)
 
 
 @needs_torch
 def test_the_same_seed_learns_the_same_and_another_something_else():
-    one, same, other = (train_deep(small(), seed).policy.network.weights[0] for seed in (0, 0, 1))
+    one, same, other = (weights(train_deep(small(), seed))[0] for seed in (0, 0, 1))
     assert (one == same).all()
     assert (one != other).any()
 
@@ -359,3 +375,15 @@ def test_several_seeds_are_trained_side_by_side(tmp_path, capsys):
     assert trainings[0].policy.about["command"].startswith("python -m rl.train --steps 1024")
     assert (tmp_path / "seed-1" / "policy.npz").exists()
     assert "environment steps" in capsys.readouterr().out
+
+
+@needs_torch
+@pytest.mark.skipif(not find_spec("mujoco"), reason="Gymnasium's own double pendulum needs MuJoCo, the extra `peers`")
+def test_another_environment_is_learned_by_the_same_code(tmp_path):
+    recipe = small("sac", env="InvertedDoublePendulum-v5", steps=256, evaluate_every=256)
+    training = train_deep(recipe, 0, out=tmp_path)
+    network = load_policy(tmp_path / "policy.npz")
+    assert isinstance(network, Network)
+    assert (network.inputs, network.outputs) == (9, 1)
+    assert training.best.score > 0
+    assert np.isnan(training.best.variation)
