@@ -54,11 +54,11 @@ _OFF_POLICY: dict[str, Any] = {
 DEFAULTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
         "ppo": {
-            "steps": 5_000_000,
+            "steps": 8_000_000,
             "copies": 512,
-            "batch": 4096,
-            "learning_rate": (1e-3, 1e-4),
-            "updates": 10 / 4096,
+            "batch": 1024,
+            "learning_rate": (1e-3, 5e-5),
+            "updates": 4 / 1024,
             "noise": math.exp(-0.5),
             "evaluate_every": 262_144,
         },
