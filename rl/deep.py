@@ -83,11 +83,12 @@ class DeepRecipe:
         The algorithm.
     task : {"swing-up", "balance"}
         What to learn.
-    rig : Rig or str
-        A single one with a force limit, or the name of a preset.
+    rig : Rig
+        A single one with a force limit; left out, the preset ``gustafsson2016``.
     env : str
         A Gymnasium environment of another plant with continuous actions, such as ``"InvertedDoublePendulum-v5"``, in
-        place of task and rig, with its own observation and reward; none where empty.
+        place of task and rig, with its own observation and reward; none where empty.  What is learned is then a network
+        from its observations to actions, -1 and 1 being the ends of their range.
     starts : {"mixed", "rest"}
         Where episodes of the swing-up begin: hanging, level to the side, near upright or anywhere, each equally often;
         or at rest alone, hanging or level to the side.
@@ -358,12 +359,15 @@ def evaluate(policy: MLPPolicy, task: str, rig: Rig, n: int, seed: int | Sequenc
 def _returns(network: Network, env: str, episodes: int) -> tuple[float, float]:
     """Give the share of episodes that last, and the mean return, in another environment."""
     single = gym.make(env)
+    box = single.action_space
+    assert isinstance(box, gym.spaces.Box)
+    half_range, middle = (box.high - box.low) / 2, (box.high + box.low) / 2
     lasted, returns = 0, []
     for episode in range(episodes):
         o, _ = single.reset(seed=_EVALUATION_STREAM + episode)
         total, over = 0.0, False
         while not over:
-            o, reward, terminated, truncated, _ = single.step(network(np.asarray(o)[None])[0])
+            o, reward, terminated, truncated, _ = single.step(network(np.asarray(o)[None])[0] * half_range + middle)
             total += float(reward)
             over = terminated or truncated
         lasted += not terminated

