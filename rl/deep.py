@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -473,7 +474,7 @@ def _policy(
         "seed": seed,
         "command": command,
         "evaluation": None if evaluation is None else evaluation._asdict(),
-        "versions": versions(),
+        "versions": _versions(),
     }
     if recipe.env:
         return Network(
@@ -488,9 +489,13 @@ def _policy(
     )
 
 
+def _versions() -> dict[str, str]:
+    return versions() | {library: metadata.version(library) for library in ("torch", "stable_baselines3")}
+
+
 def _folder(out: Path, recipe: DeepRecipe, seed: int) -> Path:
     """Make a folder for one training, or find that it was begun there."""
-    told = json.dumps({"seed": seed, "recipe": recipe.to_dict(), "versions": versions()}, indent=2, default=str) + "\n"
+    told = json.dumps({"seed": seed, "recipe": recipe.to_dict(), "versions": _versions()}, indent=2, default=str) + "\n"
     file = out / "recipe.json"
     if file.exists():
         before = json.loads(file.read_text(encoding="utf-8"))
