@@ -44,10 +44,10 @@ EPISODE = 10.0
 _LONGEST_HOLD = 0.04  # s
 _EVALUATION_STREAM = 7159  # sets the starts of evaluation apart from others drawn with the same seed
 _OFF_POLICY: dict[str, Any] = {
-    "steps": 500_000,
+    "steps": 300_000,
     "copies": 16,
     "batch": 256,
-    "learning_rate": (1e-3, 1e-3),
+    "learning_rate": (1e-3, 1e-4),
     "updates": 0.5,
     "noise": 0.2,
     "evaluate_every": 10_000,
@@ -120,7 +120,7 @@ class DeepRecipe:
         :math:`|\pi(o_t) - \pi(o_{t+1})|` and of the spatial term :math:`|\pi(o) - \pi(o + \epsilon)|`, and the standard
         deviation of :math:`\epsilon`.
     layer_norm : bool
-        Whether the critics of DDPG, TD3 and SAC normalise their layers.
+        Whether the critics of DDPG, TD3 and SAC normalise their layers; PPO's never does.
     evaluate_every : int
         Environment steps between evaluations.
     evaluation_starts : int
@@ -150,7 +150,7 @@ class DeepRecipe:
     period: float = 0.0
     action_rate: float = 0.0
     caps: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    layer_norm: bool = False
+    layer_norm: bool = True
     evaluate_every: int = 0
     evaluation_starts: int = 400
     enough: float = 0.0
@@ -163,6 +163,7 @@ class DeepRecipe:
         for name, value in DEFAULTS[self.algo].items():
             if not np.any(getattr(self, name)):
                 object.__setattr__(self, name, value)
+        object.__setattr__(self, "layer_norm", bool(self.layer_norm) and self.algo != "ppo")
         rig = as_rig(self.rig)
         object.__setattr__(self, "rig", rig)
         if not self.env:

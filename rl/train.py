@@ -74,8 +74,8 @@ class Options:
     """Weight of the penalty on changes of the action."""
     caps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """CAPS in PPO's loss: temporal weight, spatial weight, spatial deviation."""
-    layer_norm: bool = False
-    """Normalise the layers of the critics of DDPG, TD3 and SAC."""
+    layer_norm: bool = True
+    """Whether the critics of DDPG, TD3 and SAC normalise their layers."""
     evaluate_every: int = 0
     """Environment steps between evaluations."""
     evaluation_starts: int = 400

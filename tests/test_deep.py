@@ -180,7 +180,7 @@ def test_the_adapter_gives_the_observations_and_rewards_of_its_equations(action_
         small("ppo"),
         small("ppo", action_rate=0.1, caps=(1.0, 1.0, 0.1)),
         small("ddpg"),
-        small("td3", layer_norm=True),
+        small("td3", layer_norm=False),
         small("sac"),
     ],
     ids=["ppo", "smooth", "ddpg", "td3", "sac"],
