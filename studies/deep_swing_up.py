@@ -168,7 +168,7 @@ def summary(rows: list[Row]) -> RenderableType:
             " ".join(f"{100 * row.successes / row.starts:.1f}" for row in own),
             f"{np.nanmedian([row.variation for row in own]):.3g}" if any(row.successes for row in own) else "-",
             f"{np.median(reached):,.0f} ({len(reached)})" if reached else "-",
-            f"{own[0].steps:,}",
+            f"{np.median([row.steps for row in own]):,.0f}",
             f"{np.median([row.cpu_seconds for row in own]):.0f}",
         )
     return table
