@@ -135,6 +135,7 @@ class GainPolicy:
         """
         return save_policy(path, "gain", {"K": self.K}, self.about)
 
+
 # OpenBLAS shares larger products out to threads, which for these costs up to a hundred times what it saves.
 _SMALL_PRODUCT = 1 << 18
 
@@ -425,7 +426,7 @@ def load_policy(policy: str | Path) -> Policy:
 
     Returns
     -------
-    LinearQPolicy, MLPPolicy or Network
+    LinearQPolicy, GainPolicy, MLPPolicy or Network
 
     Raises
     ------
