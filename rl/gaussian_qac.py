@@ -173,6 +173,8 @@ class QACTraining:
         Weights of actor and critic as they ended, finite even where they diverged.
     episodes, steps : int
         Learning episodes and the samples in them.
+    test_steps : int
+        Samples spent on tests: none.
     lengths, rewards : ndarray (episodes,)
         Samples and total reward of each learning episode.
     succeeded : ndarray (episodes,) of bool
@@ -191,6 +193,7 @@ class QACTraining:
     w: Array
     episodes: int
     steps: int
+    test_steps: int = 0
     lengths: npt.NDArray[np.int64]
     rewards: Array
     succeeded: npt.NDArray[np.bool_]

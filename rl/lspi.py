@@ -32,8 +32,10 @@ from dpend.rig import Rig
 from dpend.suggest import suggests
 
 from .features import QUADRATIC, quadratic_features, quadratic_form
+from .linear_q import Outcome
 from .policies import GainPolicy
 
+_SETTLED = 0.1  # a gain is at rest where the last tenth of them is within this of the last, relative to its norm
 _STREAM = (2003,)  # sets learning apart from starts drawn with the same seed
 
 
@@ -51,8 +53,15 @@ class LSPITraining:
         Samples of experience up to each of them.
     experience : float
         All experience, s of the plant's time.
-    episodes : int
-        Episodes begun.
+    outcome : Outcome
+        How it ended; ``converged`` is short for one of them.  The budget is always spent; converged means that the gain
+        came to rest: of the last tenth of the recorded ones none is further than a tenth of its norm from the last.
+    episodes, steps : int
+        Episodes begun and the samples in them.
+    lengths : ndarray (episodes,)
+        Samples of each; the last one was under way.
+    test_steps : int
+        Samples spent on tests: none.
     policy : GainPolicy
         The law :math:`u = -Kx`.
     seconds : float
@@ -63,9 +72,18 @@ class LSPITraining:
     gains: Array
     samples: npt.NDArray[np.int64]
     experience: float
+    outcome: Outcome
     episodes: int
+    steps: int
+    lengths: npt.NDArray[np.int64]
+    test_steps: int = 0
     policy: GainPolicy
     seconds: float
+
+    @property
+    def converged(self) -> bool:
+        """Whether the gain had come to rest."""
+        return self.outcome is Outcome.CONVERGED
 
     def errors(self, K: npt.ArrayLike) -> Array:
         r"""Give :math:`\|K_i - K\| / \|K\|` of the recorded gains against another gain.
@@ -211,10 +229,11 @@ class LSPI:
         Q, R = np.asarray(self.state_weights, dtype=np.float64), float(self.force_weight)
         K, gains = np.zeros(6), np.zeros((self.iterations, 6))
         state, clock = np.zeros(6), np.zeros(2, dtype=np.int64)
+        lengths = np.zeros(self.iterations * self.samples, dtype=np.int64)
         z, following = np.zeros((0, 7)), np.zeros((0, 6))
         for iteration in range(self.iterations):
             new, after = np.zeros((self.samples, 7)), np.zeros((self.samples, 6))
-            _practise(K, exercise, coefficients, rng, state, clock, new, after)
+            _practise(K, exercise, coefficients, rng, state, clock, lengths, new, after)
             z, following = np.vstack([z, new])[-self.keep :], np.vstack([following, after])[-self.keep :]
             grown = min(1.0, iteration / self.anneal)
             gamma = self.gamma_start + (self.gamma - self.gamma_start) * grown
@@ -223,7 +242,8 @@ class LSPI:
             if greedy is not None:
                 K = K + self.step * (greedy - K)
             gains[iteration] = K
-        return _training(self, seed, gains, self.samples * np.arange(1, self.iterations + 1), int(clock[1]), began)
+        samples = self.samples * np.arange(1, self.iterations + 1)
+        return _training(self, seed, gains, samples, lengths[: clock[1]], began)
 
 
 @suggests
@@ -340,14 +360,18 @@ class QuadraticQLearning:
         updates = range(self.record_every, self.samples + 1, self.record_every)
         gains = np.zeros((max(len(updates), 1), 6))
         state, clock = np.zeros(6), np.zeros(2, dtype=np.int64)
-        done = 0
+        lengths = np.zeros(self.samples, dtype=np.int64)
+        done, finite = 0, True
         for row, end in enumerate(updates or (self.samples,)):
-            _learn_steps(w, scales, costs, settings, exercise, coefficients, rng, state, clock, done, end)
+            if finite:
+                finite = _learn_steps(
+                    w, scales, costs, settings, exercise, coefficients, rng, state, clock, lengths, done, end
+                )
             done = end
             greedy = greedy_gain(quadratic_form(w) / np.outer(scales, scales))
             gains[row] = 0.0 if greedy is None else greedy
         samples = np.asarray(list(updates) or [self.samples])
-        return _training(self, seed, gains, samples, int(clock[1]), began)
+        return _training(self, seed, gains, samples, lengths[: clock[1]], began, finite=finite)
 
 
 def _training(
@@ -355,13 +379,23 @@ def _training(
     seed: int | Sequence[int],
     gains: Array,
     samples: npt.NDArray[np.int64],
-    episodes: int,
+    lengths: npt.NDArray[np.int64],
     began: float,
+    *,
+    finite: bool = True,
 ) -> LSPITraining:
+    latest = gains[-max(len(gains) // 10, 2) :]
+    with np.errstate(over="ignore", invalid="ignore"):
+        away = np.linalg.norm(latest - gains[-1], axis=1).max()
+        settled = len(latest) > 1 and away <= _SETTLED * np.linalg.norm(gains[-1]) and gains[-1].any()
+    outcome = Outcome.CONVERGED if settled else Outcome.BUDGET_SPENT
+    if not finite:
+        outcome = Outcome.DIVERGED
     about = {
         "learner": repr(learner),
         "seed": seed if isinstance(seed, int) else list(seed),
         "samples": int(samples[-1]),
+        "outcome": outcome.name,
         "versions": versions(),
     }
     K = gains[-1].copy()
@@ -370,7 +404,10 @@ def _training(
         gains=gains,
         samples=samples,
         experience=float(samples[-1] * learner.rig.sample_time),
-        episodes=episodes,
+        outcome=outcome,
+        episodes=len(lengths),
+        steps=int(lengths.sum()),
+        lengths=lengths,
         policy=GainPolicy(K, about=about),
         seconds=time.perf_counter() - began,
     )
@@ -449,10 +486,10 @@ _FIELDS = len(Coefficients._fields)
 
 
 @compiled
-def _practise(K, exercise, coefficients, rng, state, clock, z, following):
+def _practise(K, exercise, coefficients, rng, state, clock, lengths, z, following):
     """Fill in states with the force that acted, and the states that followed, under -Kx and noise.
 
-    Episodes go on from call to call: in ``state`` their state, in ``clock`` their age and number.
+    Episodes go on from call to call: in ``state`` their state, in ``clock`` their age and number; ``lengths`` grow.
     """
     e = exercise
     c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]
@@ -471,6 +508,7 @@ def _practise(K, exercise, coefficients, rng, state, clock, z, following):
         for i in range(6):
             following[k, i] = x[i]
         clock[0] += 1
+        lengths[clock[1] - 1] += 1
         inside = abs(x[0]) <= e.track_limit and abs(x[1]) <= e.angle_cut and abs(x[2]) <= e.angle_cut
         if not inside or clock[0] >= e.steps:
             clock[0] = 0
@@ -493,8 +531,11 @@ def _best_force(w, s, unit, bound):
 
 
 @compiled
-def _learn_steps(w, scales, costs, steps, exercise, coefficients, rng, state, clock, begin, end):
-    """Do one-step Q-learning on samples ``begin`` to ``end``, changing ``w`` in place; stop before overflow."""
+def _learn_steps(w, scales, costs, steps, exercise, coefficients, rng, state, clock, lengths, begin, end):
+    """Do one-step Q-learning on samples ``begin`` to ``end``, changing ``w`` in place; stop before overflow.
+
+    Gives whether it did not have to stop.
+    """
     e, q = exercise, steps
     c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]
     x = (state[0], state[1], state[2], state[3], state[4], state[5])
@@ -531,12 +572,14 @@ def _learn_steps(w, scales, costs, steps, exercise, coefficients, rng, state, cl
         gamma = q.gamma_start + (q.gamma - q.gamma_start) * min(1.0, t / q.anneal)
         change = q.alpha * (cost + gamma * least - value) / norm
         if not abs(change) < 1e100:
-            break
+            return False
         for k in range(28):
             w[k] += change * features[k]
         clock[0] += 1
+        lengths[clock[1] - 1] += 1
         inside = abs(x[0]) <= e.track_limit and abs(x[1]) <= e.angle_cut and abs(x[2]) <= e.angle_cut
         if not inside or clock[0] >= e.steps:
             clock[0] = 0
     for i in range(6):
         state[i] = x[i]
+    return True

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import solve_discrete_are
 
 import dpend
-from rl import LSPI, GainPolicy, QuadraticQLearning, load_policy
+from rl import LSPI, GainPolicy, GaussianQAC, LinearQLearning, Outcome, QuadraticQLearning, load_policy
 from rl.features import QUADRATIC, quadratic_features, quadratic_form
 from rl.lspi import _best_force, fit_q, greedy_gain
 from studies.lspi import discounted_gain
@@ -219,3 +219,27 @@ def test_settings_that_make_no_sense_are_refused(kind, changes, message):
 def test_a_gain_of_another_shape_is_refused():
     with pytest.raises(ValueError, match=whole("K must have shape (6,); got (2,).")):
         GainPolicy([1.0, 2.0])
+
+
+def test_every_training_says_how_it_ended_and_what_it_cost():
+    learners = (
+        LSPI(RIG, iterations=3),
+        QuadraticQLearning(RIG, samples=300),
+        LinearQLearning(rig=RIG, max_episodes=3),
+        GaussianQAC(RIG, max_episodes=3),
+    )
+    for learner in learners:
+        training = learner.train(0)
+        assert isinstance(training.outcome, Outcome)
+        assert training.converged == (training.outcome is Outcome.CONVERGED)
+        assert training.lengths.shape == (training.episodes,)
+        assert training.steps == training.lengths.sum() > 0
+        assert training.test_steps == 0
+        assert training.seconds > 0
+        assert hasattr(training.policy, "start")
+
+
+def test_a_gain_that_comes_to_rest_has_converged_and_one_that_is_cut_short_has_not():
+    assert LSPI(RIG).train([3, 1]).outcome is Outcome.CONVERGED
+    assert LSPI(RIG, iterations=3).train([3, 1]).outcome is Outcome.BUDGET_SPENT
+    assert LSPI(RIG, iterations=1).train([3, 1]).outcome is Outcome.BUDGET_SPENT
