@@ -1,11 +1,12 @@
 """Can a linear controller swing the double pendulum up?
 
 Method: first linear Q-learning as the report tried it, from (π/2, π/2) at rest for 1000 samples, over ε, α, the action
-set, initial weights and features; counted are episodes that end with both links up for a second, within 0.2 rad.  Then
-the claim that no linear controller can is put to a direct search over gains: force K·s and force ±40 N by the sign of
-K·s, with s the state itself, as in the action part of Table 1, or its angles taken to the nearest turn, from the side
-and from hanging; random gains, then evolution strategies (CMA-ES) that start from the best of them.  The best gain of
-each search is simulated again, as a controller, for the report's 1000 samples, and from 1000 starts near.
+set, initial weights and features; counted are episodes in which both links stay up for a second, within 0.2 rad.  Then
+the claim that no linear controller can is put to a search over gains: force K·s, saturated, and force ±40 N by the sign
+of K·s, with s the state itself, as in the action part of Table 1, or its angles taken to the nearest turn, from the side
+and from hanging at rest, 1000 samples.  Half of the first gains are drawn in any direction, half among those that hold
+upright; evolution strategies (CMA-ES) go on from the best, and where some succeed, one more for success from starts
+within ±0.05 rad.  The widest of the best is simulated again alone, and from 1000 fresh starts near.
 
 Finding: PENDING
 """
@@ -15,6 +16,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -43,9 +45,10 @@ FEATURES = ("all 18", "without the cart's six", "scaled")
 LAWS = {"K·s": False, "sign of K·s": True}
 STATES = {"angles as they are": False, "nearest turn": True}
 STARTS = ("side", "hanging")
-_SCALES = np.array([1.0, 1.0, 1.0, 1.0, 0.3, 0.3])  # gains are drawn per unit of these
-_LONG, _NEAR = 1000, 0.05
-_POPULATION, _ROWS = 512, 4096
+FORCE = 40.0
+"""Largest force, and that of the sign, N."""
+_LONG, _NEAR, _STARTS_NEAR = 1000, 0.05, 16
+_ROWS = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,9 +60,9 @@ class Options(_study.Options):
     training_episodes: int = 500
     """Budget of each training."""
     candidates: int = 65_536
-    """Random gains that each search begins with."""
-    generations: int = 60
-    """Generations of each evolution strategy, 512 gains each."""
+    """Random gains that each search begins with, half of them such as hold upright."""
+    generations: int = 40
+    """Generations of each evolution strategy."""
     strategies: int = 6
     """Evolution strategies in each search, from its best random gains."""
 
@@ -80,11 +83,11 @@ class Row:
     start: str
     training: int
     outcome: str
-    """How the training ended; for a search, whether its gain succeeds from the exact start in 1000 samples."""
+    """How the training ended; for a search, whether its best gain ends upright from rest, simulated alone."""
     episodes: int
     """Learning episodes, or gains tried."""
     successes: int
-    """Learning episodes that ended upright, or gains that did so in the search's horizon."""
+    """Learning episodes with a second upright, or gains that ended so from rest."""
     longest: float
     """Longest time upright without a break, s."""
     near: int
@@ -100,18 +103,16 @@ class LinearLaw:
     ----------
     K : ndarray (6,) or (n, 6)
         Gains.
-    force : float
-        Largest force, or that of the sign, N.
-    sign : bool
-        Whether the sign is taken.
-    nearest : bool
-        Whether angles are taken to the nearest turn.
+    law : str
+        One of :data:`LAWS`.
+    state : str
+        One of :data:`STATES`: what :math:`s` is.
     """
 
     name = "linear law"
 
-    def __init__(self, K: Array, force: float, *, sign: bool, nearest: bool) -> None:
-        self.K, self.force, self.sign, self.nearest = K, force, sign, nearest
+    def __init__(self, K: Array, law: str, state: str) -> None:
+        self.K, self.sign, self.nearest = K, LAWS[law], STATES[state]
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Give the law for ``n`` runs."""
@@ -119,7 +120,7 @@ class LinearLaw:
 
         def act(t: float, y: Array) -> Array:
             u = np.einsum("ij,ij->i", K, dpend.nearest_upright(y) if self.nearest else y)
-            return self.force * np.sign(u) if self.sign else np.clip(u, -self.force, self.force)
+            return FORCE * np.sign(u) if self.sign else np.clip(u, -FORCE, FORCE)
 
         return act
 
@@ -186,141 +187,144 @@ def _learn(setting: str, options: Options) -> Result:
     return Result(rows, {"rewards": np.quantile(curves, (0.25, 0.5, 0.75), axis=0)})
 
 
-def _scores(
-    K: Array, start: str, sign: bool, nearest: bool, horizon: int
-) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Roll every gain ``(n, 6)`` out; give scores, the longest time upright, and whether it ends with a second upright.
+class Score(NamedTuple):
+    """How far each of some roll-outs came."""
 
-    The score is that time in s, at most 1, and then how near to upright at rest it came, and how long it stayed on the
-    track: what leads a search on where none is up yet.
-    """
-    rig = dpend.rig("gustafsson2016")
-    task = _task(start)
-    force = float(np.max(rig.force_limit))
+    value: Array
+    """What a search climbs: how near to upright at rest it came, how long it stayed on the track and up; success."""
+    longest: Array
+    """Longest time upright without a break, s."""
+    up: npt.NDArray[np.bool_]
+    """Whether it ended with a second upright."""
+
+
+def _scores(K: Array, x0: Array, law: str, state: str, horizon: int) -> Score:
+    """Roll every gain ``(n, 6)`` out from its start ``(n, 6)``."""
+    rig, task = dpend.rig("gustafsson2016"), _task("hanging")
     longest, final = np.zeros(len(K)), np.zeros(len(K))
-    nearest_yet, lasted = np.full(len(K), np.inf), np.zeros(len(K))
+    away_least, lasted = np.full(len(K), np.inf), np.zeros(len(K))
     for first in range(0, len(K), _ROWS):
         rows = np.arange(first, min(first + _ROWS, len(K)))
         stepper = dpend.Stepper(rig, len(rows))
-        x = stepper.reset(task.starts(np.random.default_rng(0), len(rows), rig))
+        x = stepper.reset(x0[rows])
         held = np.zeros(len(rows))
+        act = LinearLaw(K[rows], law, state).start(len(rows), np.random.default_rng(0))
         for k in range(horizon):
-            act = LinearLaw(K[rows], force, sign=sign, nearest=nearest).start(len(rows), np.random.default_rng(0))
             x = stepper.step(act(k * rig.sample_time, x))
             on = task.ended(x, rig) == 0
             held = np.where(task.upright(x) & on, held + rig.sample_time, 0.0)
             longest[rows] = np.maximum(longest[rows], held)
             final[rows] = held
             away = np.abs(dpend.wrap(x[:, 1:3])).sum(axis=1) + 0.15 * np.abs(x[:, 4:]).sum(axis=1)
-            nearest_yet[rows] = np.minimum(nearest_yet[rows], np.where(on, away, np.inf))
+            away_least[rows] = np.minimum(away_least[rows], np.where(on, away, np.inf))
             lasted[rows] = np.where(on, (k + 1) / horizon, lasted[rows])
             if on.mean() < 0.7:  # most gains leave the track at once
-                rows, held, x = rows[on], held[on], x[on]
+                rows, held, x = rows[on], held[on], x[on].copy()
                 if not len(rows):
                     break
                 stepper = dpend.Stepper(rig, len(rows))
                 stepper.reset(x)
-    scores = np.minimum(longest, 1.0) + np.exp(-nearest_yet) + 0.2 * lasted + (final >= task.hold - 1e-9)
-    return scores, longest, final >= task.hold - 1e-9
+                act = LinearLaw(K[rows], law, state).start(len(rows), np.random.default_rng(0))
+    up = final >= task.hold - 1e-9
+    return Score(np.minimum(longest, 1.0) + np.exp(-away_least) + 0.2 * lasted + up, longest, up)
 
 
-def _regulators(n: int, rng: np.random.Generator) -> Array:
-    """Draw gains ``(n, 6)`` that hold upright: regulators of random weights, for only such a law can stay up."""
+def _holding(n: int, rng: np.random.Generator) -> Array:
+    """Draw gains ``(n, 6)`` that hold upright, for only such a law can stay up: regulators of random weights, moved.
+
+    Half of them nearly balance both angles, so that the force is not at its limit where the links lean alike.
+    """
     rig = dpend.rig("gustafsson2016")
     A, B = dpend.discretize(*dpend.linearize(rig.params), rig.sample_time)
-    gains: list[Array] = []
-    while len(gains) < n:
+    found: list[Array] = []
+    while sum(map(len, found)) < n:
         *q, r = np.exp(rng.uniform(np.log(1e-3), np.log(1e3), 7))
         try:
             P = solve_discrete_are(A, B, np.diag(q), np.array([[r]]))
         except ValueError:  # a few weights are too far apart for the solver
             continue
-        gains.append(-((B.T @ P @ A) / (r + B.T @ P @ B))[0])
-    return np.array(gains)
+        regulator = -((B.T @ P @ A) / (r + B.T @ P @ B))[0]
+        K = regulator * np.exp(0.3 * rng.standard_normal((32, 6)))
+        K[::2, 2] = 15.0 * rng.standard_normal(16) - K[::2, 1]
+        found.append(K[np.abs(np.linalg.eigvals(A + B * K[:, None, :])).max(axis=1) < 1])
+    return np.vstack(found)[:n]
 
 
 def _search(setting: str, options: Options) -> Result:
     start, law, state = setting.split(", ")
-    sign, nearest = LAWS[law], STATES[state]
     candidates, generations, strategies = (
         (64, 2, 1) if options.quick else (options.candidates, options.generations, options.strategies)
     )
-    horizon = 100 if options.quick else 500
+    rig = dpend.rig("gustafsson2016")
     code = [list(LAWS).index(law), list(STATES).index(state), STARTS.index(start)]
     rng = np.random.default_rng([options.seed, 13, *code])
+    exact, near = _task(start), _task(start, _NEAR)
+    rest = exact.starts(rng, 1, rig)[0]
+    horizon = 100 if options.quick else exact.steps
 
-    def gains(points: Array) -> Array:
-        """Give gains for points, which have units of about one size."""
-        return points / _SCALES
-
-    regulators = _regulators(candidates // 8, rng) * _SCALES
-    directions = rng.standard_normal((candidates - len(regulators), 6))
+    directions = rng.standard_normal((candidates // 2, 6)) / (1.0, 1.0, 1.0, 1.0, 0.3, 0.3)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = directions * np.exp(rng.uniform(np.log(3.0), np.log(1000.0), (len(directions), 1)))
-    points = np.vstack([points, regulators])
+    sizes = np.exp(rng.uniform(np.log(3.0), np.log(1000.0), (len(directions), 1)))
+    gains = np.vstack([directions * sizes, _holding(candidates - len(directions), rng)])
 
-    def scored(points: Array) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        return _scores(gains(points), start, sign, nearest, horizon)
+    def from_rest(K: Array) -> Score:
+        return _scores(K, np.tile(rest, (len(K), 1)), law, state, horizon)
 
-    scores, longest, up = scored(points)
-    tried, successes = candidates, int(up.sum())
-    best = points[np.argmax(scores)], float(scores.max()), float(longest[np.argmax(scores)])
-    curves = [np.sort(scores)[::-1][:1]]
-    ranks = np.argsort(scores)[::-1]
-    held = ranks[ranks >= len(directions)]  # half of the strategies start from gains that hold upright
-    for k in range(strategies):
-        begin = points[ranks[k // 2] if k % 2 == 0 else held[k // 2]]
-        found, curve, count = _evolve(scored, begin, 0.3 * float(np.linalg.norm(begin)) / np.sqrt(6), generations, rng)
-        tried += generations * _POPULATION
-        successes += count
-        curves.append(curve)
-        if found[1] > best[1]:
-            best = found
-    K = gains(best[0])
-    rig = dpend.rig("gustafsson2016")
-    law_ = LinearLaw(K, float(np.max(rig.force_limit)), sign=sign, nearest=nearest)
-    task = _task(start)
-    run = dpend.simulate(rig, law_, task.starts(np.random.default_rng(0), 1, rig)[0], task=task)
-    near = _task(start, _NEAR)
+    def from_near(K: Array) -> Score:
+        """Score by the share of some starts near that succeed, and by what each came to."""
+        each = _scores(np.repeat(K, _STARTS_NEAR, axis=0), np.tile(around, (len(K), 1)), law, state, horizon)
+        value, longest, up = (part.reshape(len(K), _STARTS_NEAR) for part in each)
+        return Score(up.mean(axis=1) + 0.1 * value.mean(axis=1), longest.max(axis=1), up.any(axis=1))
+
+    first = from_rest(gains)
+    tried, successes = [len(gains)], [int(first.up.sum())]
+    ranks = np.argsort(first.value)[::-1]
+    held = ranks[ranks >= len(directions)]
+    pool, curves = [gains[ranks[:64]]], []
+    for k in range(strategies):  # from the best of all, and from the best of those that hold upright
+        begin = gains[(ranks if k % 2 == 0 else held)[k // 2]]
+        best, curve, count = _evolve(from_rest, begin, 256, generations, rng)
+        pool.append(best)
+        curves.append(np.maximum(curve, first.value.max()))
+        tried.append(256 * generations)
+        successes.append(count)
+    finalists = np.vstack(pool)
+    finalists = finalists[np.argsort(from_rest(finalists).value)[::-1][:64]]
+    around = near.starts(rng, _STARTS_NEAR, rig)
+    if sum(successes):  # then from starts near as well, not from one alone
+        begin = finalists[np.argmax(from_near(finalists).value)]
+        wide, _, _ = _evolve(from_near, begin, 96, generations, rng)
+        finalists = np.vstack([wide, finalists])
+        around = near.starts(rng, _STARTS_NEAR, rig)
+        finalists = finalists[np.argsort(from_near(finalists).value)[::-1]]
+    runs = [dpend.simulate(rig, LinearLaw(K, law, state), rest, task=exact) for K in finalists]
+    place = next((k for k, run in enumerate(runs) if run.success), 0)  # the widest that also holds for 20 s from rest
+    K, run = finalists[place], runs[place]
     starts = near.starts(np.random.default_rng([options.seed, 14]), 20 if options.quick else _LONG, rig)
-    held = _longest(run.x, task) * rig.sample_time
     row = Row(
         part="search",
         setting=f"{law}, {state}",
         start=start,
         training=0,
         outcome="up" if run.success else "not up",
-        episodes=tried,
-        successes=successes,
-        longest=round(held, 4),
-        near=int(dpend.simulate_many(rig, law_, starts, task=near).success.sum()),
+        episodes=sum(tried),
+        successes=sum(successes),
+        longest=round(float(from_rest(finalists).longest.max()), 4),
+        near=int(dpend.simulate_many(rig, LinearLaw(K, law, state), starts, task=near).success.sum()),
         gain=" ".join(f"{k:.17g}" for k in K),
     )
-    best_so_far = np.maximum.accumulate(np.max([np.resize(c, generations) if len(c) > 1 else np.full(generations, c[0])
-                                                for c in curves], axis=0))  # fmt: skip
-    return Result([row], {"scores": best_so_far, "th1": run.x[:, 1], "th2": run.x[:, 2]})
-
-
-def _longest(x: Array, task: dpend.SwingUp) -> int:
-    held = best = 0
-    for up in task.upright(x):
-        held = held + 1 if up else 0
-        best = max(best, held)
-    return best
+    return Result([row], {"scores": np.max(curves, axis=0), "th1": run.x[:, 1], "th2": run.x[:, 2]})
 
 
 def _evolve(
-    scored: Callable[[Array], tuple[Array, Array, npt.NDArray[np.bool_]]],
-    begin: Array,
-    size: float,
-    generations: int,
-    rng: np.random.Generator,
-) -> tuple[tuple[Array, float, float], Array, int]:
-    """Maximise by CMA-ES; give the best point, score and time upright, best scores by generation, and successes.
+    scored: Callable[[Array], Score], begin: Array, population: int, generations: int, rng: np.random.Generator
+) -> tuple[Array, Array, int]:
+    """Maximise by CMA-ES in units of the first gain; give the 16 best gains, best scores by generation, successes.
 
     Source: N. Hansen, *The CMA evolution strategy: a tutorial*, 2016.
     """
-    n, parents = len(begin), _POPULATION // 2
+    unit = np.abs(begin) + 0.02 * np.abs(begin).max()
+    n, parents, size = len(begin), population // 2, 0.2
     weights = np.log(parents + 0.5) - np.log(np.arange(1, parents + 1))
     weights /= weights.sum()
     mu = 1 / (weights**2).sum()
@@ -329,19 +333,21 @@ def _evolve(
     c_mu = min(1 - c_one, 2 * (mu - 2 + 1 / mu) / ((n + 2) ** 2 + mu))
     damping = 1 + 2 * max(0.0, np.sqrt((mu - 1) / (n + 1)) - 1) + c_size
     expected = np.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n**2))
-    mean, C, path_size, path = begin.copy(), np.eye(n), np.zeros(n), np.zeros(n)
-    best, curve, successes = (begin, -np.inf, 0.0), np.zeros(generations), 0
+    mean, C, path_size, path = begin / unit, np.eye(n), np.zeros(n), np.zeros(n)
+    best, values = np.tile(begin, (16, 1)), np.full(16, -np.inf)
+    curve, successes = np.zeros(generations), 0
     for generation in range(generations):
         eigenvalues, B = np.linalg.eigh(C)
         D = np.sqrt(np.maximum(eigenvalues, 1e-20))
-        steps = (rng.standard_normal((_POPULATION, n)) * D) @ B.T
-        points = mean + size * steps
-        scores, longest, up = scored(points)
-        successes += int(up.sum())
-        order = np.argsort(scores)[::-1][:parents]
-        if scores[order[0]] > best[1]:
-            best = points[order[0]], float(scores[order[0]]), float(longest[order[0]])
-        curve[generation] = best[1]
+        steps = (rng.standard_normal((population, n)) * D) @ B.T
+        gains = (mean + size * steps) * unit
+        score = scored(gains)
+        successes += int(score.up.sum())
+        order = np.argsort(score.value)[::-1][:parents]
+        best, values = np.vstack([best, gains[order[:16]]]), np.append(values, score.value[order[:16]])
+        top = np.argsort(values)[::-1][:16]
+        best, values = best[top], values[top]
+        curve[generation] = values[0]
         step = weights @ steps[order]
         mean = mean + size * step
         path_size = (1 - c_size) * path_size + np.sqrt(c_size * (2 - c_size) * mu) * (B @ ((B.T @ step) / D))
@@ -411,19 +417,11 @@ def summary(rows: list[Row]) -> RenderableType:
                 f"{max(row.longest for row in own):.2f}",
             )
     searched = Table(title="Search over gains")
-    for heading in (
-        "start",
-        "law",
-        "gains tried",
-        "up at 10 s",
-        "best, 20 s",
-        "longest upright (s)",
-        "from starts near",
-    ):
+    for heading in ("start", "law", "gains tried", "of them up", "the best", "longest upright (s)", "from starts near"):
         searched.add_column(heading, justify="left" if heading in ("start", "law") else "right")
     for row in rows:
         if row.part == "search":
-            rate = wilson(row.near, _LONG if row.near <= _LONG else row.near)
+            rate = wilson(row.near, _LONG)
             searched.add_row(
                 row.start, row.setting, f"{row.episodes:,}", f"{row.successes:,}", row.outcome, f"{row.longest:.2f}",
                 f"{rate.share:.1%} \\[{rate.low:.1%}, {rate.high:.1%}]",
