@@ -564,14 +564,18 @@ def ablations(rig: Rig) -> dict[str, GaussianQAC]:
         First the whole learner, as "tuned".
     """
     tuned = GaussianQAC.tuned(rig)
-    whole = tuned.deviations or Deviations()
+    whole = Deviations()
+    sizes, costs = np.array(whole.scales), np.array(whole.state_costs)
+    same_costs = tuple(float(q) for q in costs * (sizes[6] / sizes[:6]) ** 2)  # of force and states in plain units
 
     def without(**changes: Any) -> GaussianQAC:
         return replace(tuned, deviations=replace(whole, **changes))
 
     return {
         "tuned": tuned,
-        "1 unscaled features": without(scales=(1.0,) * 7),
+        "1 unscaled features": without(
+            scales=(1.0,) * 7, state_costs=same_costs, norm_cap=whole.norm_cap * whole.scales[6]
+        ),
         "2 critic over Table 1": without(critic="table 1"),
         "3 the report's cost": without(state_costs=None),
         "4 critic by steps": without(least_squares=False),

@@ -2,11 +2,11 @@
 
 Method: first linear Q-learning as the report tried it, from (π/2, π/2) at rest for 1000 samples, over ε, α, the action
 set, initial weights and features; counted are episodes in which both links stay up for a second, within 0.2 rad.  Then
-the claim that no linear controller can is put to a search over gains: force K·s, saturated, and force ±40 N by the sign
-of K·s, with s the state itself, as in the action part of Table 1, or its angles taken to the nearest turn, from the side
-and from hanging at rest, 1000 samples.  Half of the first gains are drawn in any direction, half among those that hold
-upright; evolution strategies (CMA-ES) go on from the best, and where some succeed, one more for success from starts
-within ±0.05 rad.  The widest of the best is simulated again alone, and from 1000 fresh starts near.
+the claim that no linear controller can is put to a search over gains: force K·s, saturated, and force ±40 N by the
+sign of K·s, with s the state itself, as in the action part of Table 1, or its angles taken to the nearest turn, from
+the side and from hanging at rest, 1000 samples.  Half of the first gains are drawn in any direction, half among those
+that hold upright; evolution strategies (CMA-ES) go on from the best, and where some succeed, one more for success from
+starts within ±0.05 rad.  The widest of the best is simulated again alone, and from 1000 fresh starts near.
 
 Finding: PENDING
 """
