@@ -29,7 +29,7 @@ import dpend
 from controllers import ILQRMPC, LQR, BangBang
 from dpend.params import Array
 from dpend.tasks import check_lam
-from rl import LinearQLearning
+from rl import LSPI, GaussianQAC, LinearQLearning
 
 from . import _study
 from ._intervals import Rate, over_seeds, wilson
@@ -53,8 +53,10 @@ LEARNED = {
     "Q published": lambda rig: LinearQLearning.published(rig),
     "Q tuned": lambda rig: LinearQLearning.tuned(rig),
     "Q tuned, plain rule": lambda rig: LinearQLearning.tuned(rig, select=False),
+    "QAC tuned": lambda rig: GaussianQAC.tuned(rig),
+    "LSPI": lambda rig: LSPI(rig),
 }
-"""Learners; the last takes part on demand and shows what acceptance tests and restarts do for the one before."""
+"""Learners; the plain rule takes part on demand and shows what acceptance tests and restarts do for the one before."""
 
 _WORDS = {
     "LQR": "LQR, Q = I, R = 1",
@@ -64,6 +66,8 @@ _WORDS = {
     "Q published": "Q-learning as published",
     "Q tuned": "Q-learning tuned",
     "Q tuned, plain rule": "Q-learning tuned, plain rule",
+    "QAC tuned": "Gaussian QAC tuned",
+    "LSPI": "LSPI, quadratic features",
 }
 
 # Okabe and Ito's colours; markers and line styles tell the curves apart without them.
@@ -74,7 +78,9 @@ _STYLES = {
     "iLQR MPC": ("#000000", "X", "-"),
     "Q published": ("#777777", "v", ":"),
     "Q tuned": ("#009E73", "D", "-."),
-    "Q tuned, plain rule": ("#CC79A7", "P", "-."),
+    "Q tuned, plain rule": ("#8C6D1F", "P", "-."),
+    "QAC tuned": ("#CC79A7", "*", (0, (6, 1, 1, 1))),
+    "LSPI": ("#56B4E9", "p", "-"),
 }
 
 _TRACE_LAM, _TRACE_SECONDS = 0.1, 2.0
