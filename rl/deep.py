@@ -367,11 +367,10 @@ def _returns(network: Network, env: str, episodes: int) -> tuple[float, float]:
     lasted, returns = 0, []
     for episode in range(episodes):
         o, _ = single.reset(seed=_EVALUATION_STREAM + episode)
-        total, over = 0.0, False
-        while not over:
+        total, terminated, truncated = 0.0, False, False
+        while not (terminated or truncated):
             o, reward, terminated, truncated, _ = single.step(network(np.asarray(o)[None])[0] * half_range + middle)
             total += float(reward)
-            over = terminated or truncated
         lasted += not terminated
         returns.append(total)
     single.close()
