@@ -226,7 +226,8 @@ def _scores(K: Array, x0: Array, law: str, state: str, horizon: int) -> Score:
                 stepper.reset(x)
                 act = LinearLaw(K[rows], law, state).start(len(rows), np.random.default_rng(0))
     up = final >= task.hold - 1e-9
-    return Score(np.minimum(longest, 1.0) + np.exp(-away_least) + 0.2 * lasted + up, longest, up)
+    stayed = np.minimum(longest, 1.0) + longest / (horizon * rig.sample_time)
+    return Score(np.exp(-away_least) + 0.2 * lasted + stayed + up, longest, up)
 
 
 def _holding(n: int, rng: np.random.Generator) -> Array:
