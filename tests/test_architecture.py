@@ -176,6 +176,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "casadi": (
         "dpend/symbolic.py",
         "controllers/trajopt.py",
+        "controllers/least_force.py",
         "controllers/tvlqr.py",
         "controllers/codegen.py",
         "controllers/shooting.py",

@@ -1,0 +1,195 @@
+r"""The least force limit under which a state can be brought upright at all: what controllers can be measured against.
+
+With :math:`f` the plant over one sample under a held force,
+
+.. math::
+    \min F \quad\text{s.t.}\quad x_{k+1} = f(x_k, F v_k),\; |v_k| \le 1,\; |p_k| \le p_\max,\;
+    |\theta_{i,k} - \theta_i^*| \le \bar\theta_i,
+
+with :math:`x_N` at rest at the target's angles, the cart anywhere.  :math:`F` is a seventh state that stays as it is,
+so the problem keeps the shape of optimal control, and every start has an answer, within reach or not: a state can be
+saved by a force of 40 N if its :math:`F` is 40 N or less.  The problem is not convex: what is found is a local
+minimum, so an upper bound of the least force.
+
+Source: H. Bock and K. Plitt, *A multiple shooting algorithm for direct solution of optimal control problems*, 1984.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import casadi
+import numpy as np
+import numpy.typing as npt
+
+from dpend.params import Array
+from dpend.rig import Rig, as_rig
+from dpend.state import as_states
+from dpend.symbolic import substep_function
+
+from .codegen import nlp_solver
+from .shooting import Stage, multiple_shooting
+from .trajectory import Trajectory
+from .trajopt import NoTrajectory
+
+_NEAR = 0.2  # rad: starts within it are solved from a straight line, those beyond from the solution of a nearer one
+_EFFORT = 1e-4  # weight of the mean of v^2, by the horizon, beside F in units of the plant's weight
+_MOST = 20.0  # greatest F, in that unit
+_TOLERANCE = 1e-7
+_QUIET = {"print_time": False, "show_eval_warnings": False}
+_IPOPT = _QUIET | {"ipopt": {"print_level": 0, "sb": "yes", "tol": _TOLERANCE, "max_iter": 200}}
+
+
+class LeastForce:
+    r"""Finds :math:`\min F` and the motion that attains it, from any start near a target.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        Plant, clock and track; its force limit does not enter.
+    target : sequence of two floats
+        Angles of both links to be reached, rad, whole turns as they are: upright or hanging.
+    horizon : int
+        :math:`N`, samples, at least 2.
+    angle_limits : sequence of two floats
+        How far link 1 and link 2 may be from the target's angles on the way, rad; infinity for no limit.
+    track_margin : float
+        What is kept from the track's end, m.
+    compiled : bool
+        Whether to look for a compiler; without one a solution takes ten to twenty times as long.
+
+    Attributes
+    ----------
+    backend : str
+        What solves it, in words.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or the rig describes several plants or has no gravity.
+    """
+
+    def __init__(
+        self,
+        rig: Rig | str,
+        target: Sequence[float] = (0.0, 0.0),
+        *,
+        horizon: int = 100,
+        angle_limits: Sequence[float] = (math.pi / 2, math.pi / 2),
+        track_margin: float = 0.02,
+        compiled: bool = True,
+    ) -> None:
+        rig = as_rig(rig)
+        if rig.n is not None:
+            raise ValueError(f"The least force is that of one plant; got a rig of {rig.n} rows.")
+        if not rig.params.gravity > 0:
+            raise ValueError("Without gravity nothing falls: the least force is zero; give a rig with gravity.")
+        if isinstance(horizon, bool) or not isinstance(horizon, int | np.integer) or horizon < 2:
+            raise ValueError(f"horizon must be a whole number of samples, at least 2; got {horizon!r}.")
+        limits = np.array(angle_limits, dtype=np.float64)
+        if limits.shape != (2,) or not (limits > 0).all():
+            raise ValueError(f"angle_limits must be two angles, greater than 0 rad; got {angle_limits!r}.")
+        if not 0 <= track_margin < rig.track_limit:
+            raise ValueError(
+                f"track_margin must be at least 0 m and less than the track's {rig.track_limit:g} m; "
+                f"got {track_margin!r}."
+            )
+        self.rig = rig
+        self.horizon = int(horizon)
+        self._target = np.array([0.0, *target, 0.0, 0.0, 0.0])
+        self._bounds = np.array([rig.track_limit - track_margin, *limits, np.inf, np.inf, np.inf])
+        self._unit = float(rig.params.coefficients().d1 * rig.params.gravity)
+        x, v = casadi.SX.sym("x", 7), casadi.SX.sym("v")
+        after = casadi.vertcat(substep_function(rig)(x[:6], self._unit * x[6] * v), x[6])
+        self._program = multiple_shooting(
+            Stage(
+                x=x,
+                u=v,
+                p=casadi.SX(0, 1),
+                step=casadi.Function("step", [x, v], [after]),
+                steps=rig.substeps,
+                cost=_EFFORT * v**2,
+                terminal=x[6],
+            ),
+            self.horizon,
+        )
+        fatrop = {"print_level": 0, "tol": _TOLERANCE, "max_iter": 200}
+        made = nlp_solver(
+            self._program.nlp,
+            fatrop=_QUIET | {"structure_detection": "auto", "equality": self._program.equality, "fatrop": fatrop},
+            ipopt=_IPOPT,
+            compiled=compiled,
+            derivatives=self._program.derivatives,
+        )
+        self._solve = made.solve
+        self.backend = made.backend
+
+    def __call__(self, x0: npt.ArrayLike) -> Trajectory:
+        r"""Give the motion from a state that asks for the least force.
+
+        A start far out is hard to solve from nothing: one in the same direction, but within 0.2 rad, is solved first,
+        and its motion, made greater, is the guess.
+
+        Parameters
+        ----------
+        x0 : array_like (6,)
+            The start; its angles are meant as they are, whole turns and all.
+
+        Returns
+        -------
+        Trajectory
+            Its ``about["force"]`` is :math:`F`, N.
+
+        Raises
+        ------
+        ValueError
+            If the start is no state.
+        NoTrajectory
+            If the solver finds none.
+        """
+        start = np.asarray(x0, dtype=np.float64)
+        if start.shape != (6,):
+            raise ValueError(f"x0 must be one state of shape (6,); got shape {start.shape}.")
+        away = as_states(start)[0] - self._target
+        N = self.horizon
+        share = min(1.0, _NEAR / max(float(np.abs(away[1:3]).max()), 1e-9)) if np.abs(away[1:3]).max() < 2 else 1.0
+        x = np.linspace(1.0, 0.0, N + 1)[:, None] * (share * away)
+        found = self._from(share * away, x, np.zeros(N), 1.0)
+        if share < 1 and found is not None:
+            x, v, F = found
+            found = self._from(away, x / share, v, min(F / share, 0.9 * _MOST))
+        if found is None:
+            raise NoTrajectory(
+                f"No motion from {start.tolist()} to the target was found in {N} samples. Allow more samples, or "
+                "check that the start is on the track and within angle_limits."
+            )
+        x, v, F = found
+        return Trajectory(
+            rig=self.rig,
+            x=x + self._target,
+            u=self._unit * F * v,
+            target=np.array([x[-1, 0], *self._target[1:3], 0.0, 0.0, 0.0]),
+            about={"method": "least force", "force": self._unit * F, "solver": self.backend},
+        )
+
+    def _from(self, away: Array, x: Array, v: Array, F: float) -> tuple[Array, Array, float] | None:
+        """Solve from a guess; None where the solver does not succeed."""
+        N, pack = self.horizon, self._program.pack
+        high = np.tile(np.append(self._bounds, _MOST), (N + 1, 1))
+        low = -high
+        low[:, 6] = 0.0
+        low[0, :6] = high[0, :6] = away
+        low[N, 1:6] = high[N, 1:6] = 0.0
+        ones = np.ones((N, 1))
+        solved = self._solve(
+            x0=pack(np.column_stack([x, np.full(N + 1, F)]), v[:, None]),
+            lbx=pack(low, -ones),
+            ubx=pack(high, ones),
+            lbg=0,
+            ubg=0,
+        )
+        if not self._solve.stats()["success"]:
+            return None
+        states, inputs = self._program.unpack(solved["x"])
+        return states[:, :6], np.clip(inputs[:, 0], -1.0, 1.0), float(states[0, 6])

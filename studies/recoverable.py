@@ -1,0 +1,560 @@
+"""From which starts can the double pendulum be saved at all?
+
+Method: gustafsson2016 (40 N, 2.4 m), starts at rest, 300 samples, neither link beyond a right angle.  A start is
+recoverable if any controller of a list saves it in the simulator, or optimal control does: the motion that asks for
+the least force (controllers/least_force.py), its forces replayed from the exact start, then LQR.  What is left is "not
+found": no proof that there is nothing.  Beside it stands an indicator, the null-controllable set of the two unstable
+modes of the linearisation.  Random starts are those of studies.lambda_sweep; a grid of (θ1, θ2) gives the map.
+
+Finding: not yet.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import PercentFormatter
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+import dpend
+from controllers import ILQRMPC, LQR, BangBang, NoTrajectory, Trajectory
+from controllers.least_force import LeastForce
+from dpend.params import Array, Params
+from dpend.tasks import check_lam
+
+from . import _study
+from ._intervals import Rate, wilson
+from ._study import Job, Result, Traces
+
+RIG = dpend.rig("gustafsson2016")
+
+
+def _lqr(Q: tuple[float, ...] | None = None, R: float = 1.0, *, sign: bool = False) -> dpend.Controller:
+    lqr = LQR(RIG, Q=Q, R=R)
+    return BangBang(lqr, RIG.force_limit) if sign else lqr
+
+
+LAWS: Mapping[str, Callable[[], dpend.Controller]] = {
+    "LQR": _lqr,
+    "sign of stiff LQR": partial(_lqr, (1, 10, 10, 1, 1, 1), 0.1, sign=True),
+    "stiff LQR": partial(_lqr, (1, 10, 10, 1, 1, 1), 0.1),
+    "LQR, Bogdanov's weights": partial(_lqr, (5, 50, 50, 20, 700, 700), 1.0),
+    "LQR, cart let go": partial(_lqr, (0.01, 10, 10, 0.01, 10, 10), 0.1),
+    "sign of LQR, angles dear": partial(_lqr, (1, 100, 100, 1, 1, 1), 1.0, sign=True),
+    "sign of LQR, cart alone": partial(_lqr, (1, 0, 0, 0, 0, 0), 0.01, sign=True),
+}
+"""State feedback, cheap: tried on every start."""
+
+OPTIMAL, MPC, NONE = "optimal control", "iLQR MPC", "-"
+
+HORIZONS = (100, 150)
+"""Samples of the motions sought; the second only where the first asks for little more than there is."""
+
+_CLOSE = 1.1
+"""A force within this share of the limit is worth a second search."""
+_CHUNK = 50
+
+_TABLES = (
+    Path(__file__).parent / "data" / "recoverable.csv",  # as installed
+    Path(__file__).parent.parent / "docs" / "results" / "recoverable" / "rows.csv",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(_study.Options):
+    """What can be told on the command line."""
+
+    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+    """Spreads of the starting angles, rad."""
+    starts: int = 1000
+    """Starts at each spread."""
+    grid: int = 33
+    """Points on each side of the map; none for no map.  One half is computed, the other is its mirror image."""
+    extent: float = 0.8
+    """Greatest angle on the map, rad."""
+    planned: int = 100
+    """The first so many starts of ``planned_lam`` are met by iLQR MPC, whatever else saves them."""
+    planned_lam: tuple[float, ...] = (0.3, 0.4)
+    """Spreads at which iLQR MPC is compared with what can be saved."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.lam:
+            raise ValueError("--lam needs at least one spread.")
+        for lam in self.lam:
+            check_lam(lam)
+        if len(set(self.lam)) < len(self.lam):
+            raise ValueError(f"--lam names a spread twice; got {self.lam}.")
+        if self.starts < 1:
+            raise ValueError(f"--starts must be at least 1; got {self.starts}.")
+        for name in ("grid", "planned"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"--{name} must be at least 0; got {getattr(self, name)}.")
+        if not 0 < self.extent < math.pi / 2:
+            raise ValueError(f"--extent must be between 0 and pi/2 rad; got {self.extent}.")
+
+    @property
+    def sizes(self) -> tuple[tuple[float, ...], int, int, int]:
+        """Spreads, starts at each, points on a side of the map, starts met by iLQR MPC; few where it must be quick."""
+        if self.quick:
+            return self.lam[-3:], min(self.starts, 6), min(self.grid, 5), min(self.planned, 2)
+        return self.lam, self.starts, self.grid, self.planned
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One start."""
+
+    lam: float
+    """Its spread; NaN on the map."""
+    index: int
+    """Which of the starts of its spread, or of the map."""
+    th1: float
+    th2: float
+    recoverable: bool
+    by: str
+    """What saved it first; a dash where nothing did."""
+    least_force: float
+    """N; NaN where it was not sought, because feedback saves the start anyway."""
+    report: bool
+    """Whether it can be saved by the report's criterion: link 1 alone counts, so link 2 may swing round."""
+    lqr: bool
+    stiff_sign: bool
+    mpc: str
+    """Whether iLQR MPC saves it: yes, no, or a dash where it was not asked."""
+
+
+class Verdict(NamedTuple):
+    """What is found about one start; the same as in :class:`Row`."""
+
+    recoverable: bool
+    by: str
+    least_force: float
+    report: bool
+    lqr: bool
+    stiff_sign: bool
+    mpc: str
+
+
+# ----------------------------------------------------------------------------------------------------------- the search
+
+
+class Replay:
+    """Forces one after the other as they were planned, and a regulator's where none is planned any more.
+
+    Parameters
+    ----------
+    forces : ndarray (n, N)
+        A row for each run, N; NaN where the regulator acts.
+    regulator : Controller
+        What goes on afterwards.
+    """
+
+    name = "replay"
+
+    def __init__(self, forces: Array, regulator: dpend.Controller) -> None:
+        self.forces = forces
+        self.regulator = regulator
+
+    def start(self, n: int, rng: np.random.Generator) -> dpend.Act:
+        """Give the law for as many runs as there are rows."""
+        act, planned = self.regulator.start(n, rng), self.forces.T
+
+        def replay(t: float, y: Array) -> Array:
+            k = round(t / RIG.sample_time)
+            u = act(t, y)
+            return np.where(np.isnan(planned[k]), u, planned[k]) if k < len(planned) else u
+
+        return replay
+
+
+def holds(plan: Trajectory, x0: Array, task: dpend.Balance) -> bool:
+    """Tell whether a plan's forces, replayed from its start for some time and followed by LQR, save the start.
+
+    Parameters
+    ----------
+    plan : Trajectory
+        The plan; its forces are clipped to the limit.
+    x0 : ndarray (6,)
+        The start, its angles within a quarter turn.
+    task : Balance
+        What counts as saved.
+
+    Returns
+    -------
+    bool
+    """
+    u = np.clip(plan.u, -RIG.force_limit, RIG.force_limit)
+    N = len(u)
+    forces = np.tile(u, (3, 1))
+    for row, last in enumerate((N, 3 * N // 4, N // 2)):
+        forces[row, last:] = np.nan
+    for position in (plan.x[-1, 0], 0.0):
+        regulator = LQR(RIG, Q=(1, 10, 10, 1, 1, 1), R=0.1, about=[position, 0, 0, 0, 0, 0])
+        if dpend.simulate_many(RIG, Replay(forces, regulator), np.tile(x0, (3, 1)), task=task).success.any():
+            return True
+    return False
+
+
+@cache
+def _search(horizon: int, round_it: bool = False) -> LeastForce:
+    limits = (math.pi / 2 - 0.01, math.inf if round_it else math.pi / 2 - 0.01)
+    return LeastForce(RIG, horizon=horizon, angle_limits=limits)
+
+
+def optimal(x0: Array, task: dpend.Balance) -> tuple[float, bool]:
+    """Give the least force that was found for a start, N, and whether its motion saves the start in the simulator.
+
+    Parameters
+    ----------
+    x0 : ndarray (6,)
+        The start.
+    task : Balance
+        What counts as saved; by the report's criterion, link 2 swings round the way it leans.
+
+    Returns
+    -------
+    force : float
+        NaN where no motion was found.
+    saved : bool
+    """
+    round_it = task.criterion == "report"
+    begin = x0 - np.array([0, 0, 2 * math.pi * np.sign(x0[2]), 0, 0, 0]) if round_it else x0
+    least, saved = math.nan, False
+    for horizon in HORIZONS:
+        try:
+            plan = _search(horizon, round_it)(begin)
+        except NoTrajectory:
+            continue
+        least = float(np.fmin(least, plan.about["force"]))
+        saved = saved or holds(plan, x0, task)
+        if saved or least > _CLOSE * RIG.force_limit:
+            break
+    return least, saved
+
+
+def judge(x0: Array, task: dpend.Balance, *, everywhere: bool = False, planned: int = 0) -> list[Verdict]:
+    """Find out which starts can be saved, by what is cheapest first.
+
+    Parameters
+    ----------
+    x0 : ndarray (n, 6)
+        Starts.
+    task : Balance
+        What counts as saved.
+    everywhere : bool
+        Seek the least force even where feedback saves the start.
+    planned : int
+        The first so many starts are met by iLQR MPC, whatever else saves them.
+
+    Returns
+    -------
+    list of Verdict
+    """
+    saves = {name: dpend.simulate_many(RIG, law(), x0, task=task).success for name, law in LAWS.items()}
+    by_report = dpend.simulate_many(RIG, LAWS["LQR"](), x0, task=replace(task, criterion="report")).success
+    mpc = ILQRMPC(RIG, upright_only=True)
+    verdicts = []
+    for i, start in enumerate(x0):
+        by = next((name for name, saved in saves.items() if saved[i]), NONE)
+        least = math.nan
+        if everywhere or by == NONE:
+            least, saved = optimal(start, task)
+            by = OPTIMAL if by == NONE and saved else by
+        asked = "-"
+        if i < planned or by == NONE:
+            saved = bool(dpend.simulate_many(RIG, mpc, start[None], task=task).success[0])
+            asked = "yes" if saved else "no"
+            by = MPC if by == NONE and saved else by
+        report = by != NONE or bool(by_report[i]) or optimal(start, replace(task, criterion="report"))[1]
+        lqr, stiff = bool(saves["LQR"][i]), bool(saves["sign of stiff LQR"][i])
+        verdicts.append(Verdict(by != NONE, by, least, report, lqr, stiff, asked))
+    return verdicts
+
+
+# -------------------------------------------------------------------------------------------------------- the indicator
+
+
+class NullControllable(NamedTuple):
+    r"""The set of :math:`z = W x` that bounded force can bring to rest, in the unstable modes of a linearisation.
+
+    Attributes
+    ----------
+    rates : ndarray (2,)
+        :math:`\lambda_1 > \lambda_2 > 0`, 1/s.
+    W : ndarray (2, 6)
+        Left eigenvectors: :math:`\dot z_i = \lambda_i z_i + b_i u`.
+    boundary : ndarray (m, 2)
+        Points of its boundary in order, once round.
+    """
+
+    rates: Array
+    W: Array
+    boundary: Array
+
+    def share(self, x: npt.ArrayLike) -> Array:
+        """Give by which factor ``(n,)`` the set must grow to have states ``(n, 6)`` on its boundary: inside, below 1."""
+        edge = np.roll(self.boundary, -1, axis=0) - self.boundary
+        outward = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
+        height = np.einsum("mi,mi->m", outward, self.boundary)
+        z = np.atleast_2d(np.asarray(x, dtype=np.float64)) @ self.W.T
+        return np.max((z @ outward.T) / height, axis=1)
+
+    def at_rest(self) -> Array:
+        """Give the boundary's cut with the states at rest at the origin: points ``(m, 2)`` of (θ1, θ2)."""
+        return np.linalg.solve(self.W[:, 1:3], self.boundary.T).T
+
+
+def null_controllable(params: Params, force: float, points: int = 400) -> NullControllable:
+    r"""Give the null-controllable set of the upright linearisation's unstable modes under :math:`|u| \le F`.
+
+    It is :math:`\{-\int_0^\infty e^{-\Lambda s} b\, u(s)\, ds\}`.  The extremes of an integral over :math:`|u| \le F`
+    are attained by :math:`u = F\,\mathrm{sgn}(c^\top e^{-\Lambda s} b)`, which with two real rates changes sign once
+    at most, at :math:`\tau` say, so the boundary is
+
+    .. math:: z_i(\tau) = \pm \frac{b_i F}{\lambda_i} \bigl(1 - 2 e^{-\lambda_i \tau}\bigr), \quad 0 \le \tau \le \infty.
+
+    A force held for samples gives the polygon of the points with :math:`\tau = k T`.  The stable and the neutral modes
+    (the cart) set no limit in the linear plant, the track's end and large angles do in the true one.
+
+    Parameters
+    ----------
+    params : Params
+        The plant.
+    force : float
+        :math:`F`, N.
+    points : int
+        Points on each of the two arcs.
+
+    Returns
+    -------
+    NullControllable
+
+    Notes
+    -----
+    Source: T. Hu, Z. Lin and L. Qiu, *An explicit description of null controllable regions of linear systems with
+    saturating actuators*, Systems & Control Letters 47, 2002; T. Hu and Z. Lin, *Control Systems with Actuator
+    Saturation*, 2001, chapter 2.
+    """
+    A, B = dpend.linearize(params)
+    rates, left = np.linalg.eig(A.T)
+    order = [i for i in np.argsort(-rates.real) if rates[i].real > 1e-3]
+    W = left[:, order].real.T
+    rates = rates[order].real
+    reach = (W @ B)[:, 0] * force / rates
+    decay = np.linspace(0.0, 1.0, points + 1)[1:, None] ** (rates / rates.min())  # exp(-rate tau), slow mode evenly
+    arc = reach * (1 - 2 * decay)
+    ring = np.concatenate([arc, -arc])
+    turn = np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1))
+    return NullControllable(rates, W, ring if turn > 0 else ring[::-1])
+
+
+# ------------------------------------------------------------------------------------------------------------ the study
+
+
+def map_starts(options: Options) -> Array:
+    """Give the starts of the computed half of the map ``(n, 6)``, row by row: θ1 > 0, or θ1 = 0 and θ2 >= 0."""
+    side = options.sizes[2]
+    angles = np.linspace(-options.extent, options.extent, side) if side > 1 else np.zeros(side)
+    angles[np.abs(angles) < 1e-12] = 0.0
+    th1, th2 = np.meshgrid(angles, angles, indexing="ij")
+    half = (th1 > 0) | ((th1 == 0) & (th2 >= 0))
+    x = np.zeros((int(half.sum()), 6))
+    x[:, 1], x[:, 2] = th1[half], th2[half]
+    return x
+
+
+def jobs(options: Options) -> list[Job]:
+    """List the work: fifty starts a job."""
+    lams, starts, _, _ = options.sizes
+    on_map = len(map_starts(options))
+    return [Job(f"lam {lam:g}", k) for lam in lams for k in range(-(-starts // _CHUNK))] + [
+        Job("map", k) for k in range(-(-on_map // _CHUNK))
+    ]
+
+
+def run(job: Job, options: Options) -> Result:
+    """Judge fifty starts."""
+    lams, starts, _, planned = options.sizes
+    first = job.repetition * _CHUNK
+    if job.setting == "map":
+        lam, x0 = math.nan, map_starts(options)[first : first + _CHUNK]
+        verdicts = judge(x0, dpend.Balance(), everywhere=True)
+    else:
+        lam = next(lam for lam in lams if job.setting == f"lam {lam:g}")
+        task = dpend.Balance(lam=lam)
+        x0 = task.starts(np.random.default_rng([options.seed, 1]), starts, RIG)[first : first + _CHUNK]
+        met = max(planned - first, 0) if lam in options.planned_lam else 0
+        verdicts = judge(x0, task, planned=met)
+    return Result(
+        [
+            Row(
+                lam=lam,
+                index=first + i,
+                th1=round(float(start[1]), 5),
+                th2=round(float(start[2]), 5),
+                **rounded(verdict)._asdict(),
+            )
+            for i, (start, verdict) in enumerate(zip(x0, verdicts, strict=True))
+        ]
+    )
+
+
+def rounded(verdict: Verdict) -> Verdict:
+    """Give a verdict with its force to a hundredth of a newton, as the table has it."""
+    return verdict._replace(least_force=round(verdict.least_force, 2))
+
+
+def shipped() -> dict[float, npt.NDArray[np.bool_]]:
+    """Give which starts are recoverable, by spread: row ``i`` is start ``i`` of seed 0, from the table that is shipped.
+
+    Returns
+    -------
+    dict
+        Arrays ``(n,)`` of the starts ``Balance(lam).starts(default_rng([0, 1]), n, rig)``.
+    """
+    file = next(file for file in _TABLES if file.exists())
+    rows = [row for row in _study.read_rows(file, Row) if not math.isnan(row.lam)]
+    return {
+        lam: np.array([row.recoverable for row in sorted(rows, key=lambda row: row.index) if row.lam == lam])
+        for lam in sorted({row.lam for row in rows})
+    }
+
+
+# -------------------------------------------------------------------------------------------------- figures and summary
+
+_CURVES = {
+    "by the report's criterion": ("#777777", "v", ":", lambda row: row.report),
+    "recoverable": ("k", "o", "-", lambda row: row.recoverable),
+    "sign of stiff LQR": ("#D55E00", "^", "--", lambda row: row.stiff_sign),
+    "LQR": ("#0072B2", "s", "-.", lambda row: row.lqr),
+}
+
+
+def _random(rows: list[Row]) -> dict[float, list[Row]]:
+    lams = sorted({row.lam for row in rows if not math.isnan(row.lam)})
+    return {lam: [row for row in rows if row.lam == lam] for lam in lams}
+
+
+def _rate(chosen: list[Row], what: Callable[[Row], bool]) -> Rate:
+    return wilson(sum(map(what, chosen)), len(chosen))
+
+
+def plot(rows: list[Row], traces: Traces) -> dict[str, Figure]:
+    """Draw the share that can be saved against the spread, and the map."""
+    figures = {}
+    curves = Figure(figsize=(6.3, 3.8), layout="constrained")
+    _plot_curves(curves.subplots(), rows)
+    figures[""] = curves
+    on_map = [row for row in rows if math.isnan(row.lam)]
+    if on_map:
+        charted = Figure(figsize=(6.3, 5.6), layout="constrained")
+        _plot_map(charted.subplots(), on_map)
+        figures["_map"] = charted
+    return figures
+
+
+def _plot_curves(axis: Axes, rows: list[Row]) -> None:
+    by_lam = _random(rows)
+    for place, (name, (colour, marker, line, what)) in enumerate(_CURVES.items()):
+        rates = [_rate(chosen, what) for chosen in by_lam.values()]
+        aside = np.array(list(by_lam)) + 0.002 * (place - 1.5)
+        error = np.array([[r.share - r.low, r.high - r.share] for r in rates]).T
+        axis.errorbar(
+            aside, [r.share for r in rates], error,
+            color=colour, marker=marker, ls=line, ms=5, capsize=3, lw=1.4, label=name,
+        )  # fmt: skip
+    axis.set(xlabel="starting spread λ (rad)", ylabel="starts", ylim=(-0.03, 1.03))
+    axis.yaxis.set_major_formatter(PercentFormatter(1.0))
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8, loc="lower left")
+
+
+def _plot_map(axis: Axes, rows: list[Row]) -> None:
+    """Draw what saves each start, the least force as contours, and the indicator's boundary."""
+    angles = sorted({sign * angle for row in rows for angle in (row.th1, row.th2) for sign in (1, -1)})
+    place = {angle: i for i, angle in enumerate(angles)}
+    kind = np.zeros((len(angles), len(angles)))
+    force = np.full(kind.shape, np.nan)
+    for row in rows:
+        colour = 0 if not row.recoverable else 1 if row.by in (OPTIMAL, MPC) else 3 if row.lqr else 2
+        for sign in (1, -1):
+            at = place[sign * row.th2], place[sign * row.th1]
+            kind[at], force[at] = colour, row.least_force
+    colours = ["#f0f0f0", "#b8b8b8", "#8ab6dc", "#2d6da8"]
+    words = ["not found", "only optimal control or iLQR MPC", "another LQR or its sign", "LQR, Q = I, R = 1"]
+    axis.pcolormesh(angles, angles, kind, cmap=ListedColormap(colours), vmin=-0.5, vmax=3.5, shading="nearest")
+    if len(angles) > 4:
+        levels = axis.contour(angles, angles, force, [10, 20, 40, 80], colors="k", linewidths=[0.6, 0.6, 1.6, 0.6])
+        axis.clabel(levels, fmt="%g N", fontsize=7)
+    ring = null_controllable(RIG.params, RIG.force_limit).at_rest()
+    (line,) = axis.plot(*np.vstack([ring, ring[:1]]).T, "--", color="#D55E00", lw=1.6)
+    patches = [Patch(facecolor=colour, edgecolor="k", lw=0.4) for colour in reversed(colours)]
+    axis.legend(
+        [*patches, line], [*reversed(words), "null-controllable set of the linearisation, 40 N"],
+        fontsize=7.5, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False,
+    )  # fmt: skip
+    limits = 1.02 * angles[0] - 0.02, 1.02 * angles[-1] + 0.02
+    axis.set(xlabel="θ1 (rad)", ylabel="θ2 (rad)", xlim=limits, ylim=limits, aspect="equal")
+    axis.grid(alpha=0.2)
+
+
+def _cell(rate: Rate) -> str:
+    return f"{100 * rate.share:.1f} \\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+
+
+def summary(rows: list[Row]) -> RenderableType:
+    """Condense the table: what can be saved by spread, by what, and how much of it iLQR MPC and LQR save."""
+    by_lam = _random(rows)
+    shares = Table(title="Starts, %, with 95 % intervals")
+    shares.add_column("")
+    for lam, chosen in by_lam.items():
+        shares.add_column(f"λ = {lam:g}\nn = {len(chosen)}", justify="right")
+    for name, (*_, what) in reversed(_CURVES.items()):
+        shares.add_row(name, *(_cell(_rate(chosen, what)) for chosen in by_lam.values()))
+
+    ways = Table(title="What saved a start first, in this order")
+    ways.add_column("")
+    for lam in by_lam:
+        ways.add_column(f"λ = {lam:g}", justify="right")
+    for name in (*LAWS, OPTIMAL, MPC, NONE):
+        counts = (sum(row.by == name for row in chosen) for chosen in by_lam.values())
+        ways.add_row("not found" if name == NONE else name, *map(str, counts))
+
+    share = Table(title="Of the recoverable among the first starts: saved, %, with 95 % intervals")
+    for heading in ("λ", "first", "recoverable", "LQR", "sign of stiff LQR", "iLQR MPC"):
+        share.add_column(heading, justify="right")
+    for lam, chosen in by_lam.items():
+        first = [row for row in chosen if row.index < _met(chosen)]
+        can = [row for row in first if row.recoverable]
+        if can:
+            cells = (
+                _cell(_rate(can, what)) for what in (lambda r: r.lqr, lambda r: r.stiff_sign, lambda r: r.mpc == "yes")
+            )
+            share.add_row(f"{lam:g}", str(len(first)), str(len(can)), *cells)
+    return Group(shares, ways, share)
+
+
+def _met(rows: list[Row]) -> int:
+    """Give how many of the first starts iLQR MPC met without a gap, if it met any that feedback saves."""
+    met = {row.index for row in rows if row.mpc != "-"}
+    n = 0
+    while n in met:
+        n += 1
+    return n if any(row.lqr for row in rows if row.index < n) else 0
+
+
+if __name__ == "__main__":
+    _study.main("studies.recoverable")
