@@ -80,7 +80,7 @@ class Options(_study.Options):
     """Spreads of the starting angles, rad."""
     starts: int = 1000
     """Starts at each spread."""
-    grid: int = 33
+    grid: int = 41
     """Points on each side of the map; none for no map.  One half is computed, the other is its mirror image."""
     extent: float = 0.8
     """Greatest angle on the map, rad."""
@@ -305,7 +305,7 @@ class NullControllable(NamedTuple):
     boundary: Array
 
     def share(self, x: npt.ArrayLike) -> Array:
-        """Give by which factor ``(n,)`` the set must grow to have states ``(n, 6)`` on its boundary: inside, below 1."""
+        """Give by which factor ``(n,)`` the set must grow to reach states ``(n, 6)``: inside, below 1."""
         edge = np.roll(self.boundary, -1, axis=0) - self.boundary
         outward = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
         height = np.einsum("mi,mi->m", outward, self.boundary)
@@ -324,7 +324,7 @@ def null_controllable(params: Params, force: float, points: int = 400) -> NullCo
     are attained by :math:`u = F\,\mathrm{sgn}(c^\top e^{-\Lambda s} b)`, which with two real rates changes sign once
     at most, at :math:`\tau` say, so the boundary is
 
-    .. math:: z_i(\tau) = \pm \frac{b_i F}{\lambda_i} \bigl(1 - 2 e^{-\lambda_i \tau}\bigr), \quad 0 \le \tau \le \infty.
+    .. math:: z_i(\tau) = \pm \frac{b_i F}{\lambda_i} \bigl(1 - 2 e^{-\lambda_i \tau}\bigr), \quad \tau \ge 0.
 
     A force held for samples gives the polygon of the points with :math:`\tau = k T`.  The stable and the neutral modes
     (the cart) set no limit in the linear plant, the track's end and large angles do in the true one.
