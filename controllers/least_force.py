@@ -34,7 +34,7 @@ from .trajectory import Trajectory
 from .trajopt import NoTrajectory
 
 _NEAR = 0.2  # rad: starts within it are solved from a straight line, those beyond from the solution of a nearer one
-_EFFORT = 1e-4  # weight of the mean of v^2, by the horizon, beside F in units of the plant's weight
+_EFFORT = 1e-5  # weight of the sum of v^2 beside F in units of the plant's weight: it moves 40 N by less than 0.01 N
 _MOST = 20.0  # greatest F, in that unit
 _TOLERANCE = 1e-7
 _QUIET = {"print_time": False, "show_eval_warnings": False}
@@ -125,7 +125,7 @@ class LeastForce:
         self._solve = made.solve
         self.backend = made.backend
 
-    def __call__(self, x0: npt.ArrayLike) -> Trajectory:
+    def __call__(self, x0: npt.ArrayLike, *, guesses: int = 0, seed: int = 0) -> Trajectory:
         r"""Give the motion from a state that asks for the least force.
 
         A start far out is hard to solve from nothing: one in the same direction, but within 0.2 rad, is solved first,
@@ -135,11 +135,15 @@ class LeastForce:
         ----------
         x0 : array_like (6,)
             The start; its angles are meant as they are, whole turns and all.
+        guesses : int
+            Further guesses, random: a straight line, bent, with random inputs and force.  The best is kept.
+        seed : int
+            What they are drawn from.
 
         Returns
         -------
         Trajectory
-            Its ``about["force"]`` is :math:`F`, N.
+            Its ``about["force"]`` is :math:`F`, N; ``about["found"]`` is what each guess led to, N, NaN for nothing.
 
         Raises
         ------
@@ -153,12 +157,20 @@ class LeastForce:
             raise ValueError(f"x0 must be one state of shape (6,); got shape {start.shape}.")
         away = as_states(start)[0] - self._target
         N = self.horizon
-        share = min(1.0, _NEAR / max(float(np.abs(away[1:3]).max()), 1e-9)) if np.abs(away[1:3]).max() < 2 else 1.0
-        x = np.linspace(1.0, 0.0, N + 1)[:, None] * (share * away)
-        found = self._from(share * away, x, np.zeros(N), 1.0)
-        if share < 1 and found is not None:
-            x, v, F = found
-            found = self._from(away, x / share, v, min(F / share, 0.9 * _MOST))
+        size = float(np.abs(away[1:3]).max())
+        share = _NEAR / size if _NEAR < size < math.pi / 2 else 1.0
+        line = np.linspace(1.0, 0.0, N + 1)[:, None]
+        first = self._from(share * away, line * (share * away), np.zeros(N), 1.0)
+        if share < 1 and first is not None:
+            x, v, F = first
+            first = self._from(away, x / share, v, min(F / share, 0.9 * _MOST))
+        rng = np.random.default_rng(seed)
+        all_found = [first]
+        for _ in range(guesses):
+            bend = np.sin(np.linspace(0.0, math.pi, N + 1))[:, None] * rng.normal(0.0, (1.0, 0.3, 0.3, 0.0, 0.0, 0.0))
+            v = np.repeat(rng.uniform(-1.0, 1.0, -(-N // 5)), 5)[:N]
+            all_found.append(self._from(away, line * away + bend, v, rng.uniform(1.0, 6.0)))
+        found = min((one for one in all_found if one is not None), key=lambda one: one[2], default=None)
         if found is None:
             raise NoTrajectory(
                 f"No motion from {start.tolist()} to the target was found in {N} samples. Allow more samples, or "
@@ -170,7 +182,12 @@ class LeastForce:
             x=x + self._target,
             u=self._unit * F * v,
             target=np.array([x[-1, 0], *self._target[1:3], 0.0, 0.0, 0.0]),
-            about={"method": "least force", "force": self._unit * F, "solver": self.backend},
+            about={
+                "method": "least force",
+                "force": self._unit * F,
+                "found": [math.nan if one is None else self._unit * one[2] for one in all_found],
+                "solver": self.backend,
+            },
         )
 
     def _from(self, away: Array, x: Array, v: Array, F: float) -> tuple[Array, Array, float] | None:

@@ -84,10 +84,12 @@ class Options(_study.Options):
     """Points on each side of the map; none for no map.  One half is computed, the other is its mirror image."""
     extent: float = 0.8
     """Greatest angle on the map, rad."""
-    planned: int = 100
+    planned: int = 200
     """The first so many starts of ``planned_lam`` are met by iLQR MPC, whatever else saves them."""
     planned_lam: tuple[float, ...] = (0.3, 0.4)
     """Spreads at which iLQR MPC is compared with what can be saved."""
+    guesses: int = 0
+    """Random guesses of optimal control beside the first one: a check that the least force is no mere local minimum."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,7 +101,7 @@ class Options(_study.Options):
             raise ValueError(f"--lam names a spread twice; got {self.lam}.")
         if self.starts < 1:
             raise ValueError(f"--starts must be at least 1; got {self.starts}.")
-        for name in ("grid", "planned"):
+        for name in ("grid", "planned", "guesses"):
             if getattr(self, name) < 0:
                 raise ValueError(f"--{name} must be at least 0; got {getattr(self, name)}.")
         if not 0 < self.extent < math.pi / 2:
@@ -214,7 +216,7 @@ def _search(horizon: int, round_it: bool = False) -> LeastForce:
     return LeastForce(RIG, horizon=horizon, angle_limits=limits)
 
 
-def optimal(x0: Array, task: dpend.Balance) -> tuple[float, bool]:
+def optimal(x0: Array, task: dpend.Balance, guesses: int = 0) -> tuple[float, bool]:
     """Give the least force that was found for a start, N, and whether its motion saves the start in the simulator.
 
     Parameters
@@ -223,6 +225,8 @@ def optimal(x0: Array, task: dpend.Balance) -> tuple[float, bool]:
         The start.
     task : Balance
         What counts as saved; by the report's criterion, link 2 swings round the way it leans.
+    guesses : int
+        Random guesses beside the first.
 
     Returns
     -------
@@ -235,7 +239,7 @@ def optimal(x0: Array, task: dpend.Balance) -> tuple[float, bool]:
     least, saved = math.nan, False
     for horizon in HORIZONS:
         try:
-            plan = _search(horizon, round_it)(begin)
+            plan = _search(horizon, round_it)(begin, guesses=guesses)
         except NoTrajectory:
             continue
         least = float(np.fmin(least, plan.about["force"]))
@@ -245,7 +249,9 @@ def optimal(x0: Array, task: dpend.Balance) -> tuple[float, bool]:
     return least, saved
 
 
-def judge(x0: Array, task: dpend.Balance, *, everywhere: bool = False, planned: int = 0) -> list[Verdict]:
+def judge(
+    x0: Array, task: dpend.Balance, *, everywhere: bool = False, planned: int = 0, guesses: int = 0
+) -> list[Verdict]:
     """Find out which starts can be saved, by what is cheapest first.
 
     Parameters
@@ -258,6 +264,8 @@ def judge(x0: Array, task: dpend.Balance, *, everywhere: bool = False, planned: 
         Seek the least force even where feedback saves the start.
     planned : int
         The first so many starts are met by iLQR MPC, whatever else saves them.
+    guesses : int
+        Random guesses of optimal control beside the first.
 
     Returns
     -------
@@ -271,7 +279,7 @@ def judge(x0: Array, task: dpend.Balance, *, everywhere: bool = False, planned: 
         by = next((name for name, saved in saves.items() if saved[i]), NONE)
         least = math.nan
         if everywhere or by == NONE:
-            least, saved = optimal(start, task)
+            least, saved = optimal(start, task, guesses)
             by = OPTIMAL if by == NONE and saved else by
         asked = "-"
         if i < planned or by == NONE:
@@ -391,13 +399,13 @@ def run(job: Job, options: Options) -> Result:
     first = job.repetition * _CHUNK
     if job.setting == "map":
         lam, x0 = math.nan, map_starts(options)[first : first + _CHUNK]
-        verdicts = judge(x0, dpend.Balance(), everywhere=True)
+        verdicts = judge(x0, dpend.Balance(), everywhere=True, guesses=options.guesses)
     else:
         lam = next(lam for lam in lams if job.setting == f"lam {lam:g}")
         task = dpend.Balance(lam=lam)
         x0 = task.starts(np.random.default_rng([options.seed, 1]), starts, RIG)[first : first + _CHUNK]
         met = max(planned - first, 0) if lam in options.planned_lam else 0
-        verdicts = judge(x0, task, planned=met)
+        verdicts = judge(x0, task, planned=met, guesses=options.guesses)
     return Result(
         [
             Row(

@@ -1,0 +1,191 @@
+"""What can be saved at all: the least force, the set of the linear plant, and the table that is shipped."""
+
+import math
+
+import numpy as np
+import pytest
+
+import dpend
+from controllers import LQR, NoTrajectory
+from controllers.least_force import LeastForce
+from studies import recoverable
+from studies._study import Job
+from tests.rigs import endless, whole
+
+RIG = dpend.rig("gustafsson2016")
+SET = recoverable.null_controllable(RIG.params, 40.0)
+
+
+def at_rest(*angles):
+    return np.array([0.0, *angles, 0.0, 0.0, 0.0])
+
+
+# ----------------------------------------------------------------------------------------------- the linear plant's set
+
+
+def test_a_mode_alone_can_be_held_up_to_b_times_the_force_by_its_rate():
+    b = (SET.W @ dpend.linearize(RIG.params)[1])[:, 0]
+    assert np.abs(SET.boundary).max(axis=0) == pytest.approx(np.abs(b) * 40.0 / SET.rates, rel=1e-12)
+    half = recoverable.null_controllable(RIG.params, 20.0)
+    assert half.boundary == pytest.approx(SET.boundary / 2)
+
+
+def test_the_modes_are_those_of_the_linearisation_and_unstable():
+    A, _ = dpend.linearize(RIG.params)
+    np.testing.assert_allclose(SET.W @ A, SET.rates[:, None] * SET.W, atol=1e-9)
+    assert SET.rates[0] > SET.rates[1] > 0
+
+
+def test_the_share_is_one_on_the_boundary_half_halfway_and_the_same_mirrored():
+    x = np.linalg.pinv(SET.W) @ SET.boundary[::37].T
+    assert SET.share(x.T) == pytest.approx(1.0, rel=1e-3)
+    assert SET.share(-0.5 * x.T) == pytest.approx(0.5, rel=1e-3)
+    cut = SET.at_rest()
+    rest = np.zeros((len(cut), 6))
+    rest[:, 1:3] = cut
+    assert SET.share(rest) == pytest.approx(1.0, rel=1e-3)
+
+
+def test_held_forces_reach_every_vertex_by_one_switch_and_nothing_passes_them():
+    a = np.exp(SET.rates * RIG.sample_time)
+    b = (SET.W @ dpend.linearize(RIG.params)[1])[:, 0] * (a - 1) / SET.rates
+    weights = a[:, None] ** -(1.0 + np.arange(400)) * b[:, None]
+    switch = np.where(np.arange(400) < np.arange(0, 200, 7)[:, None], 40.0, -40.0)
+    vertices = -switch @ weights.T
+    assert SET.share(vertices @ np.linalg.pinv(SET.W).T) == pytest.approx(1.0, rel=1e-3)
+    forces = 40.0 * np.sign(
+        np.random.default_rng(0).normal(size=(2000, 1)) + np.random.default_rng(1).normal(size=(2000, 400))
+    )
+    assert SET.share(-forces @ weights.T @ np.linalg.pinv(SET.W).T).max() < 1.0001
+
+
+def test_the_set_contains_every_state_that_saturated_lqr_saves_in_the_linear_plant():
+    Ad, Bd = dpend.discretize(*dpend.linearize(RIG.params), RIG.sample_time)
+    K = LQR(RIG).K[0]
+    x0 = np.random.default_rng(2).uniform(-1.0, 1.0, (4000, 6)) * [1.0, 0.4, 0.4, 1.0, 1.5, 1.5]
+    x = x0.copy()
+    for _ in range(1500):
+        x = np.clip(x, -1e6, 1e6) @ Ad.T + np.clip(-x @ K, -40.0, 40.0)[:, None] * Bd[:, 0]
+    saved = np.abs(x).max(axis=1) < 1e-3
+    share = SET.share(x0)
+    assert 400 < saved.sum() < 3600
+    assert share[saved].max() < 1.0
+    assert share[saved].max() > 0.8  # and it is not much too large
+
+
+# ------------------------------------------------------------------------------------------------------ the least force
+
+
+@pytest.fixture(scope="module")
+def search():
+    return LeastForce(RIG)
+
+
+@pytest.mark.slow
+def test_the_least_force_of_a_small_start_is_what_the_linear_set_says():
+    search = LeastForce(endless(track_limit=1e3), horizon=250)
+    for start in (at_rest(0.02, -0.01), at_rest(0.01, 0.02), at_rest(0.0, 0.02)):
+        assert search(start).about["force"] == pytest.approx(40.0 * SET.share(start)[0], rel=0.02)
+
+
+def test_the_motion_of_least_force_keeps_all_limits_and_ends_at_rest(search):
+    start = at_rest(0.25, -0.22)
+    plan = search(start)
+    assert plan.x[0] == pytest.approx(start)
+    assert plan.x[-1, 1:] == pytest.approx(np.zeros(5), abs=1e-6)
+    assert plan.defect() < 1e-6
+    assert np.abs(plan.u).max() == pytest.approx(plan.about["force"], rel=1e-3)
+    assert np.abs(plan.x[:, 0]).max() <= RIG.track_limit - 0.02 + 1e-6
+    assert np.abs(plan.x[:, 1:3]).max() <= math.pi / 2
+
+
+def test_a_mirrored_start_asks_for_the_same_force(search):
+    assert search(-at_rest(0.2, -0.3)).about["force"] == pytest.approx(
+        search(at_rest(0.2, -0.3)).about["force"], abs=0.01
+    )
+
+
+@pytest.mark.slow
+def test_other_guesses_lead_to_no_lower_force(search):
+    for start in (at_rest(0.3, -0.25), at_rest(-0.1, 0.45), at_rest(0.4, 0.02)):
+        forces = np.array(search(start, guesses=4).about["found"])
+        assert np.isfinite(forces).sum() >= 3
+        assert np.nanmin(forces) == pytest.approx(forces[0], abs=0.05)
+
+
+def test_what_cannot_be_is_refused(search):
+    with pytest.raises(
+        NoTrajectory, match=r"^No motion from \[0\.0, 1\.9, 0\.0, 0\.0, 0\.0, 0\.0\] to the target was found "
+    ):
+        search(at_rest(1.9, 0.0))
+    with pytest.raises(ValueError, match=whole("x0 must be one state of shape (6,); got shape (5,).")):
+        search(np.zeros(5))
+    for wrong, message in (
+        ({"horizon": 1}, "horizon must be a whole number of samples, at least 2; got 1."),
+        ({"angle_limits": (1.0, 0.0)}, "angle_limits must be two angles, greater than 0 rad; got (1.0, 0.0)."),
+        ({"track_margin": 3.0}, "track_margin must be at least 0 m and less than the track's 2.4 m; got 3.0."),
+    ):
+        with pytest.raises(ValueError, match=whole(message)):
+            LeastForce(RIG, **wrong)
+
+
+# ------------------------------------------------------------------------------------------------------------ the study
+
+
+def test_the_forces_of_a_plan_save_the_start_in_the_simulator_and_the_mirrored_ones_do_not(search):
+    start, task = at_rest(0.275, -0.223), dpend.Balance()
+    plan = search(start)
+    assert plan.about["force"] < 40.0
+    assert not dpend.simulate_many(RIG, LQR(RIG), start[None], task=task).success[0]
+    assert recoverable.holds(plan, start, task)
+    assert not recoverable.holds(plan, -start, task)
+    replay = recoverable.Replay(plan.u[None], LQR(RIG))
+    runs = dpend.simulate_many(RIG, replay, start[None], task=task, record=True)
+    assert runs.u[0, : len(plan.u)] == pytest.approx(plan.u)
+    assert runs.x is not None
+    assert np.abs(runs.x[0, :51] - plan.x[:51]).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_every_start_that_any_controller_saves_counts_as_recoverable():
+    options = recoverable.Options(lam=(0.4,), starts=25, planned=25, grid=0)
+    (job,) = recoverable.jobs(options)
+    rows = recoverable.run(job, options).rows
+    task = dpend.Balance(lam=0.4)
+    x0 = task.starts(np.random.default_rng([0, 1]), 25, RIG)
+    can = np.array([row.recoverable for row in rows])
+    for law in recoverable.LAWS.values():
+        assert (can | ~dpend.simulate_many(RIG, law(), x0, task=task).success).all()
+    assert all(row.recoverable for row in rows if row.mpc == "yes" or row.lqr or row.stiff_sign)
+    assert all(row.report for row in rows if row.recoverable)
+    assert [row.recoverable for row in rows] == [row.by != recoverable.NONE for row in rows]
+    assert all(row.least_force > 0.99 * 40 for row in rows if not row.recoverable)
+    assert {row.by for row in rows} > {"LQR", recoverable.OPTIMAL, recoverable.NONE}
+
+
+def test_one_half_of_the_map_and_its_mirror_image_are_the_whole_map():
+    options = recoverable.Options(grid=9)
+    half = recoverable.map_starts(options)[:, 1:3]
+    whole_map = {tuple(np.round(sign * point, 9) + 0.0) for point in half for sign in (1, -1)}
+    assert len(whole_map) == 81
+    assert len(half) == 41
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"lam": ()}, "--lam needs at least one spread."),
+        ({"lam": (0.1, 0.1)}, "--lam names a spread twice; got (0.1, 0.1)."),
+        ({"starts": 0}, "--starts must be at least 1; got 0."),
+        ({"grid": -1}, "--grid must be at least 0; got -1."),
+        ({"extent": 2.0}, "--extent must be between 0 and pi/2 rad; got 2.0."),
+    ],
+)
+def test_bad_options_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=whole(message)):
+        recoverable.Options(**wrong)
+
+
+def test_jobs_cover_every_start_once():
+    options = recoverable.Options(lam=(0.3,), starts=60, grid=0)
+    assert recoverable.jobs(options) == [Job("lam 0.3", 0), Job("lam 0.3", 1)]
