@@ -425,6 +425,11 @@ def rounded(verdict: Verdict) -> Verdict:
     return verdict._replace(least_force=round(verdict.least_force, 2))
 
 
+def table() -> Path:
+    """Give the table that is shipped: part of the package where it is installed, else in docs/results."""
+    return next(file for file in _TABLES if file.exists())
+
+
 def shipped() -> dict[float, npt.NDArray[np.bool_]]:
     """Give which starts are recoverable, by spread: row ``i`` is start ``i`` of seed 0, from the table that is shipped.
 
@@ -433,8 +438,7 @@ def shipped() -> dict[float, npt.NDArray[np.bool_]]:
     dict
         Arrays ``(n,)`` of the starts ``Balance(lam).starts(default_rng([0, 1]), n, rig)``.
     """
-    file = next(file for file in _TABLES if file.exists())
-    rows = [row for row in _study.read_rows(file, Row) if not math.isnan(row.lam)]
+    rows = [row for row in _study.read_rows(table(), Row) if not math.isnan(row.lam)]
     return {
         lam: np.array([row.recoverable for row in sorted(rows, key=lambda row: row.index) if row.lam == lam])
         for lam in sorted({row.lam for row in rows})

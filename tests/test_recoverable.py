@@ -8,7 +8,7 @@ import pytest
 import dpend
 from controllers import LQR, NoTrajectory
 from controllers.least_force import LeastForce
-from studies import recoverable
+from studies import _study, recoverable
 from studies._study import Job
 from tests.rigs import endless, whole
 
@@ -83,9 +83,9 @@ def search():
 
 @pytest.mark.slow
 def test_the_least_force_of_a_small_start_is_what_the_linear_set_says():
-    search = LeastForce(endless(track_limit=1e3), horizon=250)
+    search = LeastForce(endless(track_limit=1e3), horizon=150)
     for start in (at_rest(0.02, -0.01), at_rest(0.01, 0.02), at_rest(0.0, 0.02)):
-        assert search(start).about["force"] == pytest.approx(40.0 * SET.share(start)[0], rel=0.02)
+        assert search(start).about["force"] == pytest.approx(40.0 * SET.share(start)[0], rel=0.03)
 
 
 def test_the_motion_of_least_force_keeps_all_limits_and_ends_at_rest(search):
@@ -148,11 +148,11 @@ def test_the_forces_of_a_plan_save_the_start_in_the_simulator_and_the_mirrored_o
 
 @pytest.mark.slow
 def test_every_start_that_any_controller_saves_counts_as_recoverable():
-    options = recoverable.Options(lam=(0.4,), starts=25, planned=25, grid=0)
+    options = recoverable.Options(lam=(0.4,), starts=8, planned=2, grid=0)
     (job,) = recoverable.jobs(options)
     rows = recoverable.run(job, options).rows
     task = dpend.Balance(lam=0.4)
-    x0 = task.starts(np.random.default_rng([0, 1]), 25, RIG)
+    x0 = task.starts(np.random.default_rng([0, 1]), 8, RIG)
     can = np.array([row.recoverable for row in rows])
     for law in recoverable.LAWS.values():
         assert (can | ~dpend.simulate_many(RIG, law(), x0, task=task).success).all()
@@ -184,6 +184,21 @@ def test_one_half_of_the_map_and_its_mirror_image_are_the_whole_map():
 def test_bad_options_are_refused(wrong, message):
     with pytest.raises(ValueError, match=whole(message)):
         recoverable.Options(**wrong)
+
+
+def test_the_shipped_table_is_of_the_starts_that_all_studies_draw():
+    file = recoverable.table()
+    rows = [row for row in _study.read_rows(file, recoverable.Row) if row.lam == 0.4]
+    starts = dpend.Balance(lam=0.4).starts(np.random.default_rng([0, 1]), len(rows), RIG)
+    assert np.array([(row.th1, row.th2) for row in rows]) == pytest.approx(starts[:, 1:3], abs=1e-5)
+    assert [row.index for row in rows] == list(range(len(rows)))
+    shipped = recoverable.shipped()
+    assert shipped[0.4].tolist() == [row.recoverable for row in rows]
+    for saved in (
+        dpend.simulate_many(RIG, law(), starts[:200], task=dpend.Balance()) for law in recoverable.LAWS.values()
+    ):
+        assert (shipped[0.4][:200] | ~saved.success).all()
+    assert {lam: len(known) for lam, known in shipped.items()}.items() >= {0.1: 1000, 0.2: 1000, 0.3: 1000}.items()
 
 
 def test_jobs_cover_every_start_once():
