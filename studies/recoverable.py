@@ -39,11 +39,12 @@ from ._intervals import Rate, wilson
 from ._study import Job, Result, Traces
 
 RIG = dpend.rig("gustafsson2016")
+FORCE = float(RIG.force_limit)
 
 
 def _lqr(Q: tuple[float, ...] | None = None, R: float = 1.0, *, sign: bool = False) -> dpend.Controller:
     lqr = LQR(RIG, Q=Q, R=R)
-    return BangBang(lqr, RIG.force_limit) if sign else lqr
+    return BangBang(lqr, FORCE) if sign else lqr
 
 
 LAWS: Mapping[str, Callable[[], dpend.Controller]] = {
@@ -198,7 +199,7 @@ def holds(plan: Trajectory, x0: Array, task: dpend.Balance) -> bool:
     -------
     bool
     """
-    u = np.clip(plan.u, -RIG.force_limit, RIG.force_limit)
+    u = np.clip(plan.u, -FORCE, FORCE)
     N = len(u)
     forces = np.tile(u, (3, 1))
     for row, last in enumerate((N, 3 * N // 4, N // 2)):
@@ -244,7 +245,7 @@ def optimal(x0: Array, task: dpend.Balance, guesses: int = 0) -> tuple[float, bo
             continue
         least = float(np.fmin(least, plan.about["force"]))
         saved = saved or holds(plan, x0, task)
-        if saved or least > _CLOSE * RIG.force_limit:
+        if saved or least > _CLOSE * FORCE:
             break
     return least, saved
 
@@ -318,11 +319,13 @@ class NullControllable(NamedTuple):
         outward = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
         height = np.einsum("mi,mi->m", outward, self.boundary)
         z = np.atleast_2d(np.asarray(x, dtype=np.float64)) @ self.W.T
-        return np.max((z @ outward.T) / height, axis=1)
+        shares: Array = np.max((z @ outward.T) / height, axis=1)
+        return shares
 
     def at_rest(self) -> Array:
         """Give the boundary's cut with the states at rest at the origin: points ``(m, 2)`` of (θ1, θ2)."""
-        return np.linalg.solve(self.W[:, 1:3], self.boundary.T).T
+        cut: Array = np.linalg.solve(self.W[:, 1:3], self.boundary.T).T.astype(np.float64)
+        return cut
 
 
 def null_controllable(params: Params, force: float, points: int = 400) -> NullControllable:
@@ -357,10 +360,10 @@ def null_controllable(params: Params, force: float, points: int = 400) -> NullCo
     Saturation*, 2001, chapter 2.
     """
     A, B = dpend.linearize(params)
-    rates, left = np.linalg.eig(A.T)
-    order = [i for i in np.argsort(-rates.real) if rates[i].real > 1e-3]
-    W = left[:, order].real.T
-    rates = rates[order].real
+    every_rate, left = np.linalg.eig(A.T)
+    order = [i for i in np.argsort(-np.real(every_rate)) if np.real(every_rate[i]) > 1e-3]
+    W: Array = np.real(left[:, order]).T
+    rates: Array = np.real(every_rate[order])
     reach = (W @ B)[:, 0] * force / rates
     decay = np.linspace(0.0, 1.0, points + 1)[1:, None] ** (rates / rates.min())  # exp(-rate tau), slow mode evenly
     arc = reach * (1 - 2 * decay)
@@ -448,7 +451,7 @@ def shipped() -> dict[float, npt.NDArray[np.bool_]]:
 # -------------------------------------------------------------------------------------------------- figures and summary
 
 _CURVES = {
-    "by the report's criterion": ("#777777", "v", ":", lambda row: row.report),
+    "recoverable by the report's criterion (link 1 alone)": ("#777777", "v", ":", lambda row: row.report),
     "recoverable": ("k", "o", "-", lambda row: row.recoverable),
     "sign of stiff LQR": ("#D55E00", "^", "--", lambda row: row.stiff_sign),
     "LQR": ("#0072B2", "s", "-.", lambda row: row.lqr),
@@ -511,7 +514,7 @@ def _plot_map(axis: Axes, rows: list[Row]) -> None:
     if len(angles) > 4:
         levels = axis.contour(angles, angles, force, [10, 20, 40, 80], colors="k", linewidths=[0.6, 0.6, 1.6, 0.6])
         axis.clabel(levels, fmt="%g N", fontsize=7)
-    ring = null_controllable(RIG.params, RIG.force_limit).at_rest()
+    ring = null_controllable(RIG.params, FORCE).at_rest()
     (line,) = axis.plot(*np.vstack([ring, ring[:1]]).T, "--", color="#D55E00", lw=1.6)
     patches = [Patch(facecolor=colour, edgecolor="k", lw=0.4) for colour in reversed(colours)]
     axis.legend(
