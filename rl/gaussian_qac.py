@@ -179,6 +179,8 @@ class QACTraining:
         Samples and total reward of each learning episode.
     succeeded : ndarray (episodes,) of bool
         Which of them lasted to the end of the task.
+    weights : ndarray (episodes, 12 + k)
+        The published learner's v after each learning episode; none for the tuned one.
     gains : ndarray (m, 6)
         The tuned learner's gain after each update, N per unit of each state; none for the published one.
     updated : ndarray (m,)
@@ -197,6 +199,7 @@ class QACTraining:
     lengths: npt.NDArray[np.int64]
     rewards: Array
     succeeded: npt.NDArray[np.bool_]
+    weights: Array
     gains: Array
     updated: npt.NDArray[np.int64]
     seconds: float
@@ -342,12 +345,12 @@ class GaussianQAC:
         m = 12 + settings.indicators
         v, w = self.spread * rng.standard_normal(m), self.spread * rng.standard_normal(m + 6)
         lengths, rewards = np.zeros(self.max_episodes, dtype=np.int64), np.zeros(self.max_episodes)
-        succeeded = np.zeros(self.max_episodes, dtype=np.bool_)
+        succeeded, history = np.zeros(self.max_episodes, dtype=np.bool_), np.zeros((self.max_episodes, m))
         outcome, episodes, streak = Outcome.BUDGET_SPENT, 0, 0
         while episodes < self.max_episodes:
             part = slice(episodes, min(episodes + _CHUNK, self.max_episodes))
             done, streak, finite = _run_episodes(
-                v, w, settings, coefficients, streak, rng, lengths[part], rewards[part], succeeded[part]
+                v, w, settings, coefficients, streak, rng, lengths[part], rewards[part], succeeded[part], history[part]
             )
             episodes += done
             progress(episodes)
@@ -364,6 +367,7 @@ class GaussianQAC:
             lengths=lengths[:episodes],
             rewards=rewards[:episodes],
             succeeded=succeeded[:episodes],
+            weights=history[:episodes],
             gains=np.zeros((0, 6)),
             updated=np.zeros(0, dtype=np.int64),
             seconds=time.perf_counter() - began,
@@ -428,6 +432,7 @@ class GaussianQAC:
             lengths=np.array(lengths, dtype=np.int64),
             rewards=np.array(rewards),
             succeeded=np.array(succeeded, dtype=np.bool_),
+            weights=np.zeros((0, 12)),
             gains=gains,
             updated=d.episodes * np.arange(1, updates + 1),
             seconds=time.perf_counter() - began,
@@ -652,7 +657,7 @@ def _mean(v, phi):
 
 
 @compiled
-def _run_episodes(v, w, settings, coefficients, streak, rng, lengths, rewards, succeeded):
+def _run_episodes(v, w, settings, coefficients, streak, rng, lengths, rewards, succeeded, history):
     """Run Algorithm 2 for some episodes, changing ``v`` and ``w`` in place; stop early at the streak or at overflow.
 
     Gives the episodes completed, the successes in a row at their end, and whether the weights are still finite.
@@ -699,6 +704,7 @@ def _run_episodes(v, w, settings, coefficients, streak, rng, lengths, rewards, s
             rewards[episode] += reward
             t += 1
         lengths[episode] = t
+        history[episode] = v
         succeeded[episode] = not failed
         streak = 0 if failed else streak + 1
         if streak >= s.streak:

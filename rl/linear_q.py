@@ -74,6 +74,10 @@ class Training:
         Samples and total reward of each learning episode.
     upright : ndarray (episodes,)
         The longest time that both links were up without a break, samples; balancing counts every sample.
+    weights : ndarray (episodes, 18)
+        The weights after each learning episode.
+    tested : ndarray (episodes,)
+        Samples of the acceptance tests that followed each learning episode.
     seconds : float
         Wall time.
     """
@@ -87,6 +91,8 @@ class Training:
     lengths: npt.NDArray[np.int64]
     rewards: Array
     upright: npt.NDArray[np.int64]
+    weights: Array
+    tested: npt.NDArray[np.int64]
     seconds: float
 
     @property
@@ -229,9 +235,10 @@ class LinearQLearning:
         scales, forces = np.array(self.scales), np.array(self.forces)
         lengths = np.zeros(self.max_episodes, dtype=np.int64)
         rewards = np.zeros(self.max_episodes)
-        upright = np.zeros(self.max_episodes, dtype=np.int64)
+        upright, tested = np.zeros(self.max_episodes, dtype=np.int64), np.zeros(self.max_episodes, dtype=np.int64)
+        history = np.zeros((self.max_episodes, len(TABLE1)))
         weights = self._initial(rng)
-        episodes = age = streak = test_steps = restarts = 0
+        episodes = age = streak = restarts = 0
         outcome = Outcome.BUDGET_SPENT
         while episodes < self.max_episodes:
             if age == self.restart_after:
@@ -240,7 +247,7 @@ class LinearQLearning:
                 restarts += 1
             chunk = min(_CHUNK, self.max_episodes - episodes, (self.restart_after or self.max_episodes) - age)
             part = slice(episodes, episodes + chunk)
-            counts = lengths[part], rewards[part], upright[part]
+            counts = lengths[part], rewards[part], upright[part], history[part]
             done, streak, finite = _run_episodes(
                 weights, scales, forces, settings, coefficients, age, streak, rng, *counts
             )
@@ -253,7 +260,7 @@ class LinearQLearning:
                 break
             if streak >= self.streak:
                 passed, samples = self._accept(LinearQPolicy(weights, scales, forces), rng)
-                test_steps += samples
+                tested[episodes - 1] = samples
                 if passed:
                     outcome = Outcome.CONVERGED
                     break
@@ -269,11 +276,13 @@ class LinearQLearning:
             outcome=outcome,
             episodes=episodes,
             steps=int(lengths[:episodes].sum()),
-            test_steps=test_steps,
+            test_steps=int(tested.sum()),
             restarts=restarts,
             lengths=lengths[:episodes],
             rewards=rewards[:episodes],
             upright=upright[:episodes],
+            weights=history[:episodes],
+            tested=tested[:episodes],
             seconds=time.perf_counter() - began,
         )
 
@@ -434,7 +443,7 @@ def _greedy(g, forces):
 
 
 @compiled
-def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, lengths, rewards, upright):
+def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, lengths, rewards, upright, history):
     """Run Algorithm 1 for some episodes, changing ``w`` in place; stop early at the wanted streak or at overflow.
 
     Gives the episodes completed, the successes in a row at their end, and whether the weights are still finite.
@@ -485,6 +494,7 @@ def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, l
             rewards[episode] += reward
             t += 1
         lengths[episode] = t
+        history[episode] = w
         streak = 0 if failed or held < s.hold else streak + 1
         if streak >= s.streak:
             return episode + 1, streak, True
