@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from enum import Enum
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,7 +30,14 @@ class Import(NamedTuple):
     at_once: bool
 
 
-def imports(path: Path, source: str | None = None) -> Iterator[Import]:
+@cache
+def tree(path: Path) -> ast.Module:
+    """Give a file's syntax tree, parsed once for all tests."""
+    return ast.parse(path.read_text())
+
+
+@cache
+def imports(path: Path, source: str | None = None) -> tuple[Import, ...]:
     """Give what a file imports, relative names resolved; not what only type checkers see."""
     package = ".".join(path.relative_to(ROOT).parts[:-1])
 
@@ -49,7 +57,7 @@ def imports(path: Path, source: str | None = None) -> Iterator[Import]:
         for child in ast.iter_child_nodes(node):
             yield from walk(child, inside)
 
-    yield from walk(ast.parse(path.read_text() if source is None else source), True)
+    return tuple(walk(tree(path) if source is None else ast.parse(source), True))
 
 
 def importers(module: str) -> set[str]:
@@ -217,7 +225,7 @@ def test_no_module_is_a_drawer_for_odds_and_ends() -> None:
 def test_no_number_is_drawn_from_a_global_state() -> None:
     allowed = {"Generator", "SeedSequence", "default_rng", "BitGenerator", "PCG64"}
     for name, path in SOURCES.items():
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("np.random", "numpy.random"):
                 assert node.attr in allowed, f"{name}:{node.lineno} calls numpy.random.{node.attr}"
         assert not any(found.module == "random" for found in imports(path)), name
@@ -226,7 +234,7 @@ def test_no_number_is_drawn_from_a_global_state() -> None:
 def test_nothing_that_is_loaded_can_run_code() -> None:
     for name, path in SOURCES.items():
         assert not {found.module.partition(".")[0] for found in imports(path)} & {"pickle", "dill", "joblib", "shelve"}
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.Call):
                 function = ast.unparse(node.func)
                 assert function not in ("eval", "exec", "pickle.load", "pickle.loads"), f"{name}:{node.lineno}"
@@ -241,7 +249,7 @@ def test_nothing_that_is_loaded_can_run_code() -> None:
 
 @pytest.mark.parametrize("name", SOURCES)
 def test_every_module_says_what_it_is(name: str) -> None:
-    said = ast.get_docstring(ast.parse(SOURCES[name].read_text()))
+    said = ast.get_docstring(tree(SOURCES[name]))
     assert said, f"{name} has no docstring"
 
 
