@@ -40,6 +40,7 @@ from controllers import (
     shipped,
 )
 from dpend.draw import draw_strobe
+from rl import load_policy
 
 from . import _study
 from ._intervals import Rate, wilson
@@ -55,8 +56,15 @@ CONTROLLERS: dict[str, Make] = {
     "passivity, LQR": lambda rig, task: Catch(rig, EnergySwingUp(rig)),
     "pumping, LQR": lambda rig, task: Catch(rig, EnergyPump(rig)),
     "pumping, iLQR, LQR": lambda rig, task: Catch(rig, Catch(rig, EnergyPump(rig), _last_swing(rig)), LQR(rig)),
+    "PPO": lambda rig, task: load_policy("ppo-swing-up"),
+    "PPO, smooth": lambda rig, task: load_policy("ppo-swing-up-smooth"),
+    "DDPG": lambda rig, task: load_policy("ddpg-swing-up"),
 }
-"""Controllers by name, made for a rig and a task; the last pumps energy, plans the last swing, and balances."""
+"""Controllers by name, made for a rig and a task.
+
+The seventh pumps energy, plans the last swing, and balances.  The learned ones come with the package, one training of
+each, trained on the nominal plant.
+"""
 
 SLOW = ("NMPC", "energy NMPC")
 """Those that take milliseconds a step; they meet the nominal plant only, unless all is asked for."""
