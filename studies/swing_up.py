@@ -40,7 +40,7 @@ from controllers import (
     shipped,
 )
 from dpend.draw import draw_strobe
-from rl import load_policy
+from rl import MLPPolicy, load_policy
 
 from . import _study
 from ._intervals import Rate, wilson
@@ -56,9 +56,9 @@ CONTROLLERS: dict[str, Make] = {
     "passivity, LQR": lambda rig, task: Catch(rig, EnergySwingUp(rig)),
     "pumping, LQR": lambda rig, task: Catch(rig, EnergyPump(rig)),
     "pumping, iLQR, LQR": lambda rig, task: Catch(rig, Catch(rig, EnergyPump(rig), _last_swing(rig)), LQR(rig)),
-    "PPO": lambda rig, task: load_policy("ppo-swing-up"),
-    "PPO, smooth": lambda rig, task: load_policy("ppo-swing-up-smooth"),
-    "DDPG": lambda rig, task: load_policy("ddpg-swing-up"),
+    "PPO": lambda rig, task: _learned("ppo-swing-up"),
+    "PPO, smooth": lambda rig, task: _learned("ppo-swing-up-smooth"),
+    "DDPG": lambda rig, task: _learned("ddpg-swing-up"),
 }
 """Controllers by name, made for a rig and a task.
 
@@ -80,6 +80,12 @@ def _plan(rig: dpend.Rig, task: dpend.SwingUp) -> Trajectory | None:
     """Give the trajectory that comes with the package, or None, for which a controller finds one of its own."""
     start = "hanging" if task.start == "down-down" else task.start
     return shipped(rig, start, task.target)
+
+
+def _learned(name: str) -> MLPPolicy:
+    policy = load_policy(name)
+    assert isinstance(policy, MLPPolicy)
+    return policy
 
 
 def _last_swing(rig: dpend.Rig) -> ILQRMPC:
