@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rich.console import Console
 
 import dpend
+from controllers import Constant
 from rl import LSPI, GaussianQAC, LinearQLearning
 from studies import learning_curves
 from studies._study import Job
@@ -164,3 +165,16 @@ def test_options_without_a_sense_are_refused(name, value):
     least = {"trainings": 1, "starts": 2}[name]
     with pytest.raises(ValueError, match=whole(f"--{name} must be at least {least}; got {value}.")):
         learning_curves.Options(**{name: value})
+
+
+def test_scaled_features_learn_to_leave_the_track_at_full_force_in_place_of_the_swing_up():
+    learner: Any = learning_curves.SWINGING["swing-up, scaled"].make(RIG)
+    training = learner.train([0, 15, 0])
+    off = dpend.simulate(
+        RIG, Constant(40.0), learner.task.starts(np.random.default_rng(0), 1, RIG)[0], task=learner.task
+    )
+    assert off.status is dpend.Status.TRACK_END
+    assert np.median(training.lengths[-500:]) == len(off.u) == 22
+    cost = learner.task.cost(off.x[1:].copy(), np.zeros(22, dtype=np.uint8))
+    assert_allclose(np.median((training.rewards / training.lengths)[-500:]), -cost.mean())
+    assert not (training.upright >= 50).any()
