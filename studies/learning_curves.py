@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, PercentFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 from rich.console import Group, RenderableType
 from rich.table import Table
 
@@ -546,6 +546,8 @@ def _deep(axis: Axes, rows: list[Row], traces: Traces, task: str, words: str) ->
     axis.set(xlabel="environment steps", ylabel=words)
     if axis.lines:
         axis.set_xscale("log")
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        axis.xaxis.set_minor_formatter(NullFormatter())
         axis.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: f"{steps:,.0f}"))
     else:
         axis.set_xticks([])
