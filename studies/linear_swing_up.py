@@ -277,7 +277,7 @@ def _search(setting: str, options: Options) -> Result:
         """Score by the share of some starts near that succeed, and by what each came to."""
         each = _scores(np.repeat(K, _STARTS_NEAR, axis=0), np.tile(around, (len(K), 1)), law, state, horizon)
         value, longest, up = (part.reshape(len(K), _STARTS_NEAR) for part in each)
-        return Score(up.mean(axis=1) + 0.1 * value.mean(axis=1), longest.max(axis=1), up.any(axis=1))
+        return Score(up.mean(axis=1) + 0.1 * value.mean(axis=1), longest.max(axis=1), np.asarray(up.any(axis=1)))
 
     first = from_rest(gains)
     tried, successes = [len(gains)], [int(first.up.sum())]

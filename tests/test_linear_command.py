@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import dpend
-from rl import GainPolicy, LinearQPolicy, load_policy
+from rl import GainPolicy, LinearQPolicy, Network, load_policy
 from rl.linear import main, train_linear
 from tests.rigs import whole
 
@@ -20,6 +20,7 @@ RIG = dpend.rig("gustafsson2016")
 def test_a_shipped_policy_balances_and_says_by_which_command_it_was_made(name, kind):
     policy = load_policy(name)
     assert isinstance(policy, kind)
+    assert not isinstance(policy, Network)
     assert policy.about["command"] == f"python -m rl.linear --algo {name} --rig gustafsson2016 --seed 0"
     task = dpend.Balance(lam=0.2)
     starts = task.starts(np.random.default_rng(5), 200, RIG)
@@ -31,7 +32,7 @@ def test_the_command_makes_the_shipped_policy_again(tmp_path):
     again, shipped = load_policy(path), load_policy("lspi")
     assert isinstance(again, GainPolicy)
     assert isinstance(shipped, GainPolicy)
-    assert_allclose(again.K, shipped.K, rtol=0, atol=0.02 * np.linalg.norm(shipped.K))
+    assert_allclose(again.K, shipped.K, rtol=0, atol=0.02 * float(np.linalg.norm(shipped.K)))
     assert again.about["seed"] == 0
 
 
