@@ -112,7 +112,7 @@ class Options(_study.Options):
     def sizes(self) -> tuple[tuple[float, ...], int, int, int]:
         """Spreads, starts at each, points on a side of the map, starts met by iLQR MPC; few where it must be quick."""
         if self.quick:
-            return self.lam[-3:], min(self.starts, 6), min(self.grid, 5), min(self.planned, 2)
+            return self.lam[-2:], min(self.starts, 4), min(self.grid, 3), min(self.planned, 1)
         return self.lam, self.starts, self.grid, self.planned
 
 
