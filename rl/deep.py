@@ -23,6 +23,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import dpend
+from dpend.controller import Controller
 from dpend.metrics import force_metrics
 from dpend.params import Array
 from dpend.provenance import versions
@@ -320,12 +321,12 @@ def _halves(n: int) -> list[tuple[str, int]]:
     return [("hanging", n // 2), ("side", n - n // 2)]
 
 
-def evaluate(policy: MLPPolicy, task: str, rig: Rig, n: int, seed: int | Sequence[int]) -> tuple[float, float]:
+def evaluate(policy: Controller, task: str, rig: Rig, n: int, seed: int | Sequence[int]) -> tuple[float, float]:
     """Give success and mean variation of a policy from fresh starts.
 
     Parameters
     ----------
-    policy : MLPPolicy
+    policy : Controller
         The policy.
     task : {"swing-up", "balance"}
         Ten seconds, the last of them upright, from :func:`swing_up_starts`; or 300 samples from

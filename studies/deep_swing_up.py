@@ -8,7 +8,9 @@ samples.  Intervals are 95 % over trainings.  Variation is the total variation o
 of the runs that succeed, and while balancing from θ1, θ2 ~ U[-0.1, 0.1] for 300 samples, with perfect sensors and with
 noise of 0.002 (m, rad, m/s, rad/s) on every measured state.
 
-Finding: FINDING
+Finding: PPO swings up 99.4 % [98.6, 100.0] of the starts (99.9, 100, 99.5, 98.3 and 99.5 % in five trainings of 8 million
+steps at most, two minutes of processor time), DDPG 100 % in both of two trainings of about 200 000 steps.  CAPS loses no
+success and has two thirds of plain PPO's variation of force under sensor noise.
 """
 
 from __future__ import annotations
@@ -25,9 +27,10 @@ from rich.console import RenderableType
 from rich.table import Table
 
 import dpend
+from controllers import LQR
 from dpend.params import Array
 from rl import MLPPolicy, load_policy
-from rl.deep import evaluate, read_curve
+from rl.deep import Evaluation, evaluate, read_curve
 
 from . import _study
 from ._intervals import over_seeds
@@ -38,6 +41,8 @@ RUNS = Path(__file__).parent.parent / "docs" / "results" / "deep"
 
 _FRESH = 1000  # starts
 _NOISE = 0.002
+_LQR = "LQR, Q = I, R = 1, balance"
+_UNTRAINED = Evaluation(0, 0.0, 0.0, np.nan, 0.0, 0.0)
 _STREAM = 9241  # sets these starts apart from those of training and evaluation
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#777777", "#000000")
 _LINES = ("-", "--", "-.", ":")
@@ -89,15 +94,15 @@ class Row:
 
 
 def jobs(options: Options) -> list[Job]:
-    """List the work: the trainings of our own plant."""
+    """List the work: the trainings of our own plant, and LQR."""
     found = []
     for file in sorted(options.runs.glob("*/seed-*/policy.npz"), key=lambda file: (file.parts[-3], _seed(file))):
         if not json.loads((file.parent / "recipe.json").read_text(encoding="utf-8"))["recipe"]["env"]:
             found.append(Job(file.parts[-3], _seed(file)))
     if options.quick:
         first = {job.setting: job for job in reversed(found)}
-        return list(first.values())[:3]
-    return found
+        found = list(first.values())[:3]
+    return [*found, Job(_LQR)]
 
 
 def _seed(file: Path) -> int:
@@ -106,27 +111,32 @@ def _seed(file: Path) -> int:
 
 def run(job: Job, options: Options) -> Result:
     """Meet fresh starts, and read what the training wrote."""
-    folder = options.runs / job.setting / f"seed-{job.repetition}"
-    policy = load_policy(folder / "policy.npz")
-    assert isinstance(policy, MLPPolicy)
-    recipe = policy.about["recipe"]
     n = 20 if options.quick else options.starts
-    rig = dpend.Rig.from_dict(recipe["rig"])
-    success, variation = evaluate(policy, recipe["task"], rig, n, [_STREAM, options.seed])
-    curve = read_curve(folder / "curve.csv")
+    rig, task, curve, best, period = dpend.rig("gustafsson2016"), "balance", [_UNTRAINED], 0, 0.0
+    if job.setting == _LQR:
+        controller: dpend.Controller = LQR(rig)
+        period = rig.sample_time
+    else:
+        folder = options.runs / job.setting / f"seed-{job.repetition}"
+        controller = policy = load_policy(folder / "policy.npz")
+        assert isinstance(policy, MLPPolicy)
+        recipe = policy.about["recipe"]
+        rig, task, period = dpend.Rig.from_dict(recipe["rig"]), recipe["task"], policy.period
+        curve, best = read_curve(folder / "curve.csv"), policy.about["evaluation"]["steps"]
+    success, variation = evaluate(controller, task, rig, n, [_STREAM, options.seed])
     row = Row(
         learner=job.setting,
         training=job.repetition,
         starts=n,
         successes=round(success * n),
         variation=variation,
-        balancing=_balancing(rig, policy, n, options.seed),
-        balancing_noisy=_balancing(rig.replace(sensor_noise=_NOISE), policy, n, options.seed),
+        balancing=_balancing(rig, controller, n, options.seed),
+        balancing_noisy=_balancing(rig.replace(sensor_noise=_NOISE), controller, n, options.seed),
         steps=curve[-1].steps,
-        steps_to_best=policy.about["evaluation"]["steps"],
+        steps_to_best=best,
         steps_to_half=next((seen.steps for seen in curve if seen.success >= 0.5), -1),
         steps_to_most=next((seen.steps for seen in curve if seen.success >= 0.95), -1),
-        step_seconds=policy.period,
+        step_seconds=period,
         cpu_seconds=curve[-1].cpu_seconds,
         wall_seconds=curve[-1].wall_seconds,
     )
@@ -134,17 +144,17 @@ def run(job: Job, options: Options) -> Result:
     return Result([row], traces)
 
 
-def _balancing(rig: dpend.Rig, policy: MLPPolicy, n: int, seed: int) -> float:
+def _balancing(rig: dpend.Rig, controller: dpend.Controller, n: int, seed: int) -> float:
     """Give the mean variation of the force while balancing, over the runs that succeed."""
     task = dpend.Balance(lam=0.1)
     starts = task.starts(np.random.default_rng([_STREAM, seed, 1]), min(n, 200), rig)
-    runs = dpend.simulate_many(rig, policy, starts, task=task, seed=seed)
+    runs = dpend.simulate_many(rig, controller, starts, task=task, seed=seed)
     return float(runs.metrics()["variation"][runs.success].mean()) if runs.success.any() else np.nan
 
 
 def plot(rows: list[Row], traces: Traces) -> Figure:
     """Draw success against environment steps: medians over trainings, each training thin."""
-    names = list(dict.fromkeys(row.learner for row in rows))
+    names = [name for name in dict.fromkeys(row.learner for row in rows) if name != _LQR]
     figure = Figure(figsize=(6.3, 3.6 + 0.22 * len(names)), layout="constrained")
     axis: Axes = figure.subplots()
     for place, name in enumerate(names):
@@ -163,9 +173,10 @@ def plot(rows: list[Row], traces: Traces) -> Figure:
 
 
 def _median(traces: list[dict[str, Array]]) -> tuple[Array, Array]:
-    """Give the median over trainings at the evaluations that all of them have."""
-    length = min(len(trace["steps"]) for trace in traces)
-    return traces[0]["steps"][:length], np.median([trace["success"][:length] for trace in traces], axis=0)
+    """Give the median over trainings; one that was good enough and ended counts on with its last evaluation."""
+    longest = max((trace["steps"] for trace in traces), key=len)
+    columns = [np.pad(trace["success"], (0, len(longest) - len(trace["success"])), mode="edge") for trace in traces]
+    return longest, np.median(columns, axis=0)
 
 
 def summary(rows: list[Row]) -> RenderableType:
