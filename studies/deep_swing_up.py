@@ -8,9 +8,9 @@ samples.  Intervals are 95 % over trainings.  Variation is the total variation o
 of the runs that succeed, and while balancing from θ1, θ2 ~ U[-0.1, 0.1] for 300 samples, with perfect sensors and with
 noise of 0.002 (m, rad, m/s, rad/s) on every measured state.
 
-Finding: PPO swings up 99.4 % [98.6, 100.0] of the starts (99.9, 100, 99.5, 98.3 and 99.5 % in five trainings of 8 million
-steps at most, two minutes of processor time), DDPG 100 % in both of two trainings of about 200 000 steps.  CAPS loses no
-success and has two thirds of plain PPO's variation of force under sensor noise.
+Finding: PPO swings up 99.4 % [98.6, 100.0] of the starts (99.9, 100, 99.5, 98.3 and 99.5 % in five trainings of at
+most 8 million steps, two minutes of processor time), DDPG 100 % in both of two trainings of about 200 000 steps.  CAPS
+loses no success and has two thirds of plain PPO's variation of force under sensor noise.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from . import _study
 from ._intervals import over_seeds
 from ._study import Job, Result, Traces
 
-RUNS = Path(__file__).parent.parent / "docs" / "results" / "deep"
-"""Where the trainings are kept, a folder each: what was learned by what, and the seed."""
+RUNS = Path("docs/results/deep")
+"""Where the trainings are kept, seen from the repository, a folder each: what was learned by what, and the seed."""
 
 _FRESH = 1000  # starts
 _NOISE = 0.002
