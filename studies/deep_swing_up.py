@@ -118,8 +118,9 @@ def run(job: Job, options: Options) -> Result:
         period = rig.sample_time
     else:
         folder = options.runs / job.setting / f"seed-{job.repetition}"
-        controller = policy = load_policy(folder / "policy.npz")
+        policy = load_policy(folder / "policy.npz")
         assert isinstance(policy, MLPPolicy)
+        controller = policy
         recipe = policy.about["recipe"]
         rig, task, period = dpend.Rig.from_dict(recipe["rig"]), recipe["task"], policy.period
         curve, best = read_curve(folder / "curve.csv"), policy.about["evaluation"]["steps"]
