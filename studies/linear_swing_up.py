@@ -9,10 +9,10 @@ that hold upright; evolution strategies (CMA-ES) go on from the best, and where 
 starts within ±0.05 rad.  The widest of the best is simulated again alone, with a quarter of the integration step as
 well, because the motion is chaotic, and from 1000 fresh starts near.
 
-Finding: Q-learning never holds the links up for a second (0 of 432 trainings, 146 225 episodes).  But a linear controller
-can: from the side one gain of 90 112, saturated and with angles to the nearest turn, has both links up after 1.78 s and
-keeps them there, and from hanging every kind of law can; from starts near, at best 5.8 % succeed.  From ``--seed 1``,
-kept in docs/results/linear_swing_up.
+Finding: Q-learning never holds the links up for a second (0 of 432 trainings, 146 225 episodes).  But a linear
+controller can: from the side one gain of 90 112, saturated and with angles to the nearest turn, has both links up after
+1.78 s and keeps them there, and from hanging every kind of law can; from starts near, at best 5.8 % succeed.  From
+``--seed 1``, kept in docs/results/linear_swing_up.
 """
 
 from __future__ import annotations
