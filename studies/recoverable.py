@@ -85,7 +85,7 @@ class Options(_study.Options):
     """Spreads of the starting angles, rad."""
     starts: int = 1000
     """Starts at each spread."""
-    grid: int = 41
+    grid: int = 21
     """Points on each side of the map; none for no map.  One half is computed, the other is its mirror image."""
     extent: float = 0.8
     """Greatest angle on the map, rad."""
