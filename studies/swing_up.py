@@ -8,7 +8,10 @@ delay, read through an extended Kalman filter.  Then the twelve transfers betwee
 hanging to upright on every preset.  Intervals are Wilson's, 95 %.  A step is late if it takes longer than the sample
 time; the first step of a run, in which planners plan from nothing, is reported apart.
 
-Finding: see docs/results/swing_up.
+Finding: iLQR MPC, NMPC and TVLQR swing up from all 400 starts.  iLQR MPC takes 0.1 ms a step (median) and succeeds in
+99.5 % with plants 10 % off, 98 % at 20 %, 100 % behind encoders and delay.  Passivity and LQR arrive in 0 and 9.5 %,
+pumping and LQR in 40.5 and 51.5 %, with a planned last swing always.  All 12 transfers: iLQR MPC and TVLQR, 50 of 50
+each.  From the default options, kept in docs/results/swing_up.
 """
 
 from __future__ import annotations
@@ -239,11 +242,11 @@ def run(job: Job, options: Options) -> Result:
                 rig=case.rig,
                 run=first + k,
                 success=bool(runs.success[k]),
-                **{name: float(metrics[name][k]) for name in _METRICS},
-                step_median=float(np.median(steps)),
-                step_p99=float(np.quantile(steps, 0.99)),
-                step_max=float(steps.max()),
-                first_step=float(runs.step_time[k, 0]),
+                **{name: _short(metrics[name][k]) for name in _METRICS},
+                step_median=_short(np.median(steps)),
+                step_p99=_short(np.quantile(steps, 0.99)),
+                step_max=_short(steps.max()),
+                first_step=_short(runs.step_time[k, 0]),
                 late=int((steps > rig.sample_time).sum()),
             )
         )
@@ -255,6 +258,11 @@ def run(job: Job, options: Options) -> Result:
 _METRICS = ("time_up", "seconds", "peak_force", "travel", "effort", "variation", "saturated")
 
 
+def _short(value: float | np.floating) -> float:
+    """Give five digits: the table has thousands of rows, and no figure needs more."""
+    return float(f"{value:.5g}")
+
+
 def _wrong(rig: dpend.Rig, share: float, rng: np.random.Generator, n: int, mine: slice) -> dpend.Rig:
     """Give rigs whose masses and lengths each differ from the believed by up to a share, one a run."""
     names = ("cart_mass", "mass1", "mass2", "length1", "length2")
@@ -264,8 +272,10 @@ def _wrong(rig: dpend.Rig, share: float, rng: np.random.Generator, n: int, mine:
 
 # ------------------------------------------------------------------------------------------------------------- figures
 
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#333333", "#8C6D1F", "#999999")
-_MARKERS = "osD^vPX*h"
+_COLOURS = (
+    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#333333", "#8C6D1F", "#999999", "#7F3C8D"
+)  # fmt: skip
+_MARKERS = "osD^vPX*hp"
 
 
 def _present(rows: list[Row]) -> list[str]:
