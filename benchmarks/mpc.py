@@ -181,7 +181,7 @@ def theirs() -> Law:
     mpc = do_mpc.controller.MPC(model)
     mpc.settings.n_horizon = HORIZON
     mpc.settings.n_robust = 0
-    mpc.settings.open_loop = 0
+    mpc.settings.open_loop = False
     mpc.settings.t_step = RIG.sample_time
     mpc.settings.state_discretization = "collocation"
     mpc.settings.collocation_type = "radau"

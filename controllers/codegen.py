@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -109,8 +110,11 @@ def nlp_solver(
             functions = [virtual.oracle(), *map(virtual.get_function, virtual.get_function())]
         library = _compiled(functions, compiler)
         if library is not None:
-            solve = casadi.nlpsol("solver", wanted, str(library), options[wanted])
-            return NLPSolver(solve, wanted, f"{_TITLES[wanted]}, compiled C")
+            try:
+                solve = casadi.nlpsol("solver", wanted, str(library), options[wanted])
+                return NLPSolver(solve, wanted, f"{_TITLES[wanted]}, compiled C")
+            except RuntimeError:  # it cannot be loaded: cut short, or where no code may lie
+                library.unlink(missing_ok=True)
     wanted = "ipopt" if solver == "auto" else solver
     if ours and wanted == "ipopt":
         options["ipopt"] |= {"jac_g": ours["nlp_jac_g"], "hess_lag": for_ipopt["nlp_hess_l"]}
@@ -146,11 +150,15 @@ def _compiled(functions: Sequence[Any], compiler: str) -> Path | None:
     for function in functions:
         generator.add(function)
     code = generator.dump()
-    stamp = (compiler, str(os.stat(compiler).st_mtime_ns), *_FLAGS, casadi.CasadiMeta.version(), sys.platform, code)
+    machine = sys.platform, platform.machine()
+    stamp = (compiler, str(os.stat(compiler).st_mtime_ns), *_FLAGS, casadi.CasadiMeta.version(), *machine, code)
     digest = hashlib.sha256("\0".join(stamp).encode()).hexdigest()[:32]
     try:
         folder = cache_folder() / "c"
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        kept = folder.stat()
+        if kept.st_uid != os.getuid() or kept.st_mode & 0o022:  # others could put code there
+            return None
         library = folder / f"{digest}.so"
         if not library.exists():
             with tempfile.TemporaryDirectory(dir=folder) as work:
@@ -159,6 +167,6 @@ def _compiled(functions: Sequence[Any], compiler: str) -> Path | None:
                 command = [compiler, *_FLAGS, "-o", str(made), str(source), "-lm"]
                 subprocess.run(command, check=True, capture_output=True, timeout=_PATIENCE)
                 made.replace(library)
-    except (OSError, subprocess.SubprocessError):
+    except (OSError, RuntimeError, subprocess.SubprocessError):  # no folder, no home, no success
         return None
     return library

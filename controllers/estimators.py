@@ -37,6 +37,9 @@ class Estimator(Protocol):
 class WithEstimator:
     """A controller that sees estimates instead of measurements.
 
+    It takes the controller's commands for those that reach the rig, so it belongs outermost: around ``Catch``,
+    ``RateLimit`` or ``LowPass``, not inside.
+
     Parameters
     ----------
     estimator : Predictor, EKF or UKF

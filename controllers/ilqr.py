@@ -867,7 +867,7 @@ def _improve(x, u, K, p, P, iterations, tolerance, trials):
         if tried == iterations or damping > 1e6:
             break
         first, second, steepest = _backward(x, u, p, P, D, damping, du, K_new)
-        if gaps == 0.0 and -2.0 * first - second <= tolerance * cost:
+        if gaps == 0.0 and math.isfinite(cost) and -2.0 * first - second <= tolerance * cost:
             _keep(x, u, K, x, u, K_new)
             converged = True
             break

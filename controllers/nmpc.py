@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+import numbers
 from collections.abc import Callable, Iterator
 from enum import IntEnum
 from functools import lru_cache
@@ -58,7 +59,7 @@ class PlanStatus(IntEnum):
     ACCEPTED = 1
     """The solver stopped early, but its plan keeps to the plant and the limits, so it is followed."""
     SHIFTED = 2
-    """The solver failed: the plan of the step before goes on."""
+    """The solver failed: the plan of the step before goes on; in a run's first step, the best guess."""
 
 
 class NMPC:
@@ -158,14 +159,16 @@ class NMPC:
         self.solver: Plugin = solver
         self.rate_weight = _checked("rate_weight", rate_weight, 0.0, math.inf)
         self.energy_weight = _checked("energy_weight", energy_weight, 0.0, math.inf)
-        self.margin = _checked("margin", margin, 0.0, float(rig.track_limit))
+        self.margin = _checked("margin", margin, 0.0, math.inf)
+        if not 0 < self.margin < rig.track_limit:
+            raise ValueError(
+                f"margin must be greater than 0 and less than the track's limit of {rig.track_limit:g} m; got {margin!r}."
+            )
         if isinstance(max_iterations, bool) or not isinstance(max_iterations, int) or max_iterations < 1:
             raise ValueError(f"max_iterations must be a whole number, at least 1; got {max_iterations!r}.")
         self.max_iterations = max_iterations
-        if not callable(setpoint):
-            reach = float(rig.track_limit) - self.margin
-            setpoint = _checked("setpoint", setpoint, -reach, reach)
         self.setpoint = setpoint
+        self.position(0.0)
         if horizon is None:
             horizon = _pace(rig) * (1.5 if cost == "quadratic" else 0.8)
         self.samples = round(_checked("horizon", horizon, 2 * rig.sample_time, 1e3) / rig.sample_time)
@@ -181,8 +184,25 @@ class NMPC:
         return _problem(self._key()).warm.backend
 
     def __repr__(self) -> str:
-        way = "generated C" if find_compiler() else "interpreted, no C compiler"
+        way = "a C compiler is found" if find_compiler() else "no C compiler is found"
         return f"<{self.name}, {self.samples} samples of {self.rig.sample_time:g} s, solver {self.solver}, {way}>"
+
+    def position(self, t: float) -> float:
+        """Give where the cart is to be at a time in s: the target's position and the set-point, m.
+
+        Raises
+        ------
+        ValueError
+            If that is no number, or nearer to the track's end than the margin.
+        """
+        setpoint = self.setpoint(t) if callable(self.setpoint) else self.setpoint
+        reach = float(self.rig.track_limit) - self.margin
+        if isinstance(setpoint, numbers.Real) and abs(self.lqr.about[0] + float(setpoint)) <= min(reach, 1e9):
+            return float(self.lqr.about[0]) + float(setpoint)
+        raise ValueError(
+            f"The cart's place, target and setpoint together, must be within {reach:g} m of the middle, the track less "
+            f"the margin; got {self.lqr.about[0]:g} m and setpoint {setpoint!r} at {t:g} s."
+        )
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Give the law for one run.
@@ -333,7 +353,7 @@ class _Planner:
 
     def __init__(self, controller: NMPC, problem: _Problem) -> None:
         self.log: dict[str, list[float]] = {"status": [], "iterations": [], "solve_time": []}
-        self._setpoint = controller.setpoint
+        self._position, self._looks = controller.position, callable(controller.setpoint)
         self._problem = problem
         self._program = program = problem.program
         self._about = controller.lqr.about
@@ -353,7 +373,10 @@ class _Planner:
         self._u = 0.0
 
     def __call__(self, t: float, y: Array) -> Array:
-        x = self._with_force(y[0], self._u)
+        measured = y[0]
+        if not np.isfinite(measured).all():  # as planned, or where nothing is planned yet, as wished
+            measured = self._about if self._plan is None else self._plan[0][1, :6]
+        x = self._with_force(measured, self._u)
         if self._plan is None:
             self._plan, status, iterations, seconds = self._first_plan(t, x)
         else:
@@ -369,16 +392,11 @@ class _Planner:
         """Give the state as the program has it: with the last force if changes of force cost."""
         return np.append(x, u)[: self._program.nx]
 
-    def _position(self, t: float) -> float:
-        where = self._setpoint(t) if callable(self._setpoint) else self._setpoint
-        return float(self._about[0]) + float(where)
-
     def _goals(self, t: float, end: Array) -> Array:
         """Give position and angles to reach at each stage ``(N + 1, 3)``, by the turn nearest to the plan's end."""
         N = self._program.horizon
         goals = np.empty((N + 1, 3))
-        looks = callable(self._setpoint)
-        goals[:, 0] = [self._position(t + k * self._T) for k in range(N + 1)] if looks else self._position(t)
+        goals[:, 0] = [self._position(t + k * self._T) for k in range(N + 1)] if self._looks else self._position(t)
         goals[:, 1:] = self._about[1:3] + _TURN * np.rint((end[1:3] - self._about[1:3]) / _TURN)
         return goals
 
@@ -390,7 +408,10 @@ class _Planner:
         self._low[:nx] = self._high[:nx] = x
         goals = self._goals(t, xs[-1]).ravel()
         began = perf_counter()
-        found = solver.solve(x0=program.pack(xs, us), lbx=self._low, ubx=self._high, lbg=0.0, ubg=0.0, p=goals)
+        try:
+            found = solver.solve(x0=program.pack(xs, us), lbx=self._low, ubx=self._high, lbg=0.0, ubg=0.0, p=goals)
+        except RuntimeError:  # what CasADi makes of whatever a solver stumbles over
+            return guess, PlanStatus.SHIFTED, 0, perf_counter() - began, math.inf
         seconds = perf_counter() - began
         stats = solver.solve.stats()
         w = found["x"].full().ravel()

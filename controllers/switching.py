@@ -285,7 +285,7 @@ class Catch:
     region : callable, optional
         Which states ``(n, 6)`` are handed over, ``(n,)``: :class:`Ellipsoid`, :class:`Ahead`, :class:`NearEnergy` or
         any function.  Left out, ``Ahead`` where ``then`` is an LQR: the states from which that law is seen to come to
-        rest; for any other law ``NearEnergy``.
+        rest; for a planner of one run at a time ``NearEnergy``; for any other law it is to be given.
     leave : callable, optional
         Which states are handed back.  It is asked only while ``then`` is in charge, so that it makes the hysteresis.
         Left out, those with a link below level, as seen from the target, where ``then`` is an LQR; for any other law
@@ -296,10 +296,13 @@ class Catch:
     TypeError
         If a law is no controller, or a region cannot be called.
     ValueError
-        If the rig describes several plants.
+        If the rig describes several plants, or there is no region by default.
 
     Notes
     -----
+    A batched law that counts its samples, such as :class:`~controllers.tvlqr.TVLQR`, or remembers what it commanded,
+    ages while it is not in charge.
+
     ``act.log["caught"]`` tells for each call where ``then`` was in charge.
     """
 
@@ -325,6 +328,11 @@ class Catch:
             ahead = Ahead(rig, self.then, about=self.then.about)
             self.region: Region = ahead if region is None else region
             self.leave: Region = ahead.fallen if leave is None else leave
+        elif region is None and is_batched(self.then):
+            raise ValueError(
+                f"Say in which region {_name(self.then)} is to take over, region=...; only an LQR and planners of one "
+                "run at a time (batched = False) have one by default."
+            )
         else:
             self.region = NearEnergy(rig) if region is None else region
             self.leave = _nowhere if leave is None else leave

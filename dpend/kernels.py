@@ -40,12 +40,12 @@ def compiled(function: Callable[..., Any]) -> Any:
     sources = [here / name for name in ("equations.py", "params.py", "state.py", "status.py", "kernels.py")]
     if package != here:
         sources.append(package)
-    root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path.home() / ".cache" / "dpend")
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    numba.config.CACHE_DIR = str(root / fingerprint(*sources))  # type: ignore[attr-defined]
     try:
+        root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path.home() / ".cache" / "dpend")
+        numba.config.CACHE_DIR = str(root / fingerprint(*sources))  # type: ignore[attr-defined]
         return numba.njit(cache=True, **_OPTIONS)(function)
-    except RuntimeError:  # numba found no folder it may write to
+    except RuntimeError:  # there is no home, or numba found no folder it may write to
         return numba.njit(**_OPTIONS)(function)
     finally:
         numba.config.CACHE_DIR = before  # type: ignore[attr-defined]

@@ -520,5 +520,9 @@ class Runs:
         for name in ("x", "y"):
             if getattr(parts[0], name) is not None:
                 stacked[name] = np.concatenate([getattr(part, name) for part in parts])
-        log = {name: np.concatenate([part.log[name] for part in parts]) for name in parts[0].log}
+        names = dict.fromkeys(name for part in parts for name in part.log)
+        log = {
+            name: np.concatenate([part.log.get(name, np.full(part.u.shape, np.nan)) for part in parts])
+            for name in names
+        }
         return replace(parts[0], rig=rig, log=log, **stacked)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from multiprocessing import get_context
@@ -213,6 +213,8 @@ def _simulate_block(
     act = controller.start(n, np.random.default_rng(row_sequence(seed, first, CONTROLLER_STREAM)))
     if not callable(act):
         raise TypeError(f"start(n, rng) of a controller must return the law act(t, y); got {act!r}.")
+    if not isinstance(getattr(act, "log", {}), Mapping):
+        raise TypeError(f"A law's log is a mapping from names to lists; got {act.log!r}.")  # type: ignore[attr-defined]
     y = stepper.reset(x0)
 
     t = rig.sample_time * np.arange(samples + 1, dtype=np.float64)
@@ -296,6 +298,8 @@ def _log(act: Act, n: int, samples: int, after_end: npt.NDArray[np.bool_]) -> di
     log: dict[str, Array] = {}
     for name, entries in getattr(act, "log", {}).items():
         told = np.full((samples, n), np.nan)
+        if len(entries) > samples:
+            raise ValueError(f"A law's log has one entry a call, at most {samples}; {name!r} has {len(entries)}.")
         for k, entry in enumerate(entries):
             told[k] = entry
         told[after_end] = np.nan

@@ -255,9 +255,13 @@ class SwingUp(ReportCost):
     def __post_init__(self) -> None:
         super().__post_init__()
         _checked_steps(self.steps)
-        if self.start != "anywhere" and self.start not in _STARTS:
+        if not isinstance(self.start, str) or (self.start != "anywhere" and self.start not in _STARTS):
             known = (*_STARTS, "anywhere")
             raise ValueError(f"start must be one of {', '.join(map(repr, known))}; got {self.start!r}.")
+        if not isinstance(self.target, str):
+            raise ValueError(
+                f"target must be the name of an equilibrium, {', '.join(EQUILIBRIA)}; got {self.target!r}."
+            )
         as_equilibrium(self.target)
         if not 0 <= self.spread <= math.pi:
             raise ValueError(f"spread must be within 0 and pi rad; got {self.spread!r}.")

@@ -214,7 +214,7 @@ def test_without_a_compiler_it_works_and_says_so(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr("controllers.codegen.find_compiler", lambda: None)
     monkeypatch.setattr("controllers.nmpc.find_compiler", lambda: None)
     controller = NMPC(RIG, **SHORT)
-    assert repr(controller) == "<NMPC, 25 samples of 0.02 s, solver auto, interpreted, no C compiler>"
+    assert repr(controller) == "<NMPC, 25 samples of 0.02 s, solver auto, no C compiler is found>"
     assert controller.backend == "IPOPT, CasADi's virtual machine (no C compiler)"
     found, act = forces(controller, x, 3)
     assert act.log["status"] == [PlanStatus.SOLVED] * 3
@@ -237,8 +237,19 @@ def test_equal_settings_share_one_solver_and_a_pickle_gives_the_same_law() -> No
     [
         ({"cost": "time"}, 'cost must be "quadratic" or "energy"; got \'time\'.'),
         ({"horizon": 0.02}, "horizon must be a finite number from 0.04 to 1000; got 0.02."),
-        ({"margin": 3.0}, "margin must be a finite number from 0 to 2.4; got 3.0."),
-        ({"setpoint": 2.39}, "setpoint must be a finite number from -2.38 to 2.38; got 2.39."),
+        ({"margin": 3.0}, "margin must be greater than 0 and less than the track's limit of 2.4 m; got 3.0."),
+        *(
+            (
+                place,
+                "The cart's place, target and setpoint together, must be within 2.38 m of the middle, the track less "
+                f"the margin; got {words}.",
+            )
+            for place, words in (
+                ({"setpoint": 2.39}, "0 m and setpoint 2.39 at 0 s"),
+                ({"setpoint": lambda t: float("nan")}, "0 m and setpoint nan at 0 s"),
+                ({"target": [2, 0, 0, 0, 0, 0], "setpoint": 1.0}, "2 m and setpoint 1.0 at 0 s"),
+            )
+        ),
         ({"rate_weight": -1}, "rate_weight must be a finite number from 0 to inf; got -1."),
         ({"max_iterations": 0}, "max_iterations must be a whole number, at least 1; got 0."),
     ],
@@ -266,3 +277,37 @@ def test_it_swings_up_within_the_limits(cost: Any, start: str) -> None:
     assert (runs.travel < 2.4 - 0.02 + 1e-3).all()
     assert np.abs(runs.u).max() <= 40.0
     assert (runs.log["status"] != PlanStatus.SHIFTED).all()
+
+
+def test_what_is_no_number_is_taken_as_planned_and_the_force_stays_one() -> None:
+    x = np.array([0.0, 0.1, -0.1, 0.0, 0.0, 0.0])
+    broken = np.array([0.0, np.nan, 0.1, 0.0, 0.0, 0.0])
+    act = NMPC(RIG, **SHORT).start(1, np.random.default_rng(0))
+    answers = [act(0.02 * k, y[None])[0] for k, y in enumerate((broken, x, broken))]
+    assert np.isfinite(answers).all()
+
+
+def test_a_library_that_cannot_be_loaded_is_thrown_away_and_done_without(
+    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DPEND_CACHE", str(tmp_path))
+    if not codegen.find_compiler():
+        pytest.skip("no C compiler is found")
+    codegen.nlp_solver(rosenbrock(), solver="ipopt", ipopt=QUIET)
+    (library,) = tmp_path.rglob("*.so")
+    library.unlink()  # what is loaded already stays loaded under its name
+    broken = library.with_name("0" * 32 + ".so")
+    broken.write_bytes(b"no library")
+    monkeypatch.setattr(codegen, "_compiled", lambda *_: broken)
+    found = codegen.nlp_solver(rosenbrock(), solver="ipopt", ipopt=QUIET)
+    assert found.backend.startswith("IPOPT, CasADi's virtual machine")
+    assert not broken.exists()
+
+
+def test_code_is_not_kept_where_others_may_write(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DPEND_CACHE", str(tmp_path))
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c").chmod(0o777)
+    found = codegen.nlp_solver(rosenbrock(), solver="ipopt", ipopt=QUIET)
+    assert found.backend.startswith("IPOPT, CasADi's virtual machine")
+    assert not list(tmp_path.rglob("*.so"))

@@ -420,3 +420,16 @@ def test_what_a_law_tells_of_its_steps_is_kept_with_the_run(tmp_path: Path) -> N
 
 def test_laws_that_tell_nothing_leave_an_empty_log() -> None:
     assert not dpend.simulate(RIG, Zero(), STARTS[0], 0.2).log
+
+
+def test_a_log_that_is_no_mapping_is_refused_before_the_first_step() -> None:
+    class Wrong:
+        def start(self, n: int, rng: np.random.Generator) -> dpend.Act:
+            def act(t: float, y: Array) -> Array:
+                raise AssertionError("never called")
+
+            act.log = "words"  # type: ignore[attr-defined]
+            return act
+
+    with pytest.raises(TypeError, match=whole("A law's log is a mapping from names to lists; got 'words'.")):
+        dpend.simulate(RIG, Wrong(), STARTS[0], 0.2)

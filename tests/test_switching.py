@@ -169,3 +169,12 @@ def test_wrong_use_is_refused() -> None:
         match=whole("tolerance must be greater than 0 and track_share above 0 and at most 1; got -1 and 0.8."),
     ):
         NearEnergy(RIG, -1)
+
+
+def test_a_batched_law_that_is_no_lqr_needs_a_region() -> None:
+    message = (
+        "Say in which region Constant is to take over, region=...; only an LQR and planners of one run at a time "
+        "(batched = False) have one by default."
+    )
+    with pytest.raises(ValueError, match=whole(message)):
+        Catch(RIG, EnergyPump(RIG), Constant(1.0))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from dpend.rig import Rig, as_rig
+from dpend.tasks import SwingUp
 
 from ..trajectory import Trajectory
 
@@ -41,8 +42,16 @@ def shipped(
     Returns
     -------
     Trajectory or None
+
+    Raises
+    ------
+    ValueError
+        If there is no such start, target or objective.
     """
     rig = as_rig(rig)
+    SwingUp(start=start, target=target)  # refuses what is neither
+    if objective not in ("effort", "time"):
+        raise ValueError(f'objective must be "effort" or "time"; got {objective!r}.')
     if rig.n is not None:
         return None
     for path in sorted(FOLDER.glob(file_name("*", start, target, objective))):
