@@ -161,8 +161,9 @@ class NMPC:
         self.energy_weight = _checked("energy_weight", energy_weight, 0.0, math.inf)
         self.margin = _checked("margin", margin, 0.0, math.inf)
         if not 0 < self.margin < rig.track_limit:
+            limit = float(rig.track_limit)
             raise ValueError(
-                f"margin must be greater than 0 and less than the track's limit of {rig.track_limit:g} m; got {margin!r}."
+                f"margin must be greater than 0 and less than the track's limit of {limit:g} m; got {margin!r}."
             )
         if isinstance(max_iterations, bool) or not isinstance(max_iterations, int) or max_iterations < 1:
             raise ValueError(f"max_iterations must be a whole number, at least 1; got {max_iterations!r}.")
