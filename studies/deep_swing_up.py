@@ -8,9 +8,10 @@ samples.  Intervals are 95 % over trainings.  Variation is the total variation o
 of the runs that succeed, and while balancing from θ1, θ2 ~ U[-0.1, 0.1] for 300 samples, with perfect sensors and with
 noise of 0.002 (m, rad, m/s, rad/s) on every measured state.
 
-Finding: PPO swings up 99.4 % [98.6, 100.0] of the starts (99.9, 100, 99.5, 98.3 and 99.5 % in five trainings of at
-most 8 million steps, two minutes of processor time), DDPG 100 % in both of two trainings of about 200 000 steps.  CAPS
-loses no success and has two thirds of plain PPO's variation of force under sensor noise.
+Finding: PPO swings up 99.4 % [98.6, 100.0] of the starts (five trainings of at most 8 million steps, two minutes of
+processor time), and 100.0 % [99.9, 100.0] where its episodes began at rest alone (five of 2.6 to 3.9 million); DDPG
+100 % in four of five trainings of 180 000 to 280 000 steps, 97 % in the fifth.  CAPS loses no success and has two
+thirds of plain PPO's variation of force under sensor noise.
 """
 
 from __future__ import annotations

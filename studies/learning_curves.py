@@ -11,7 +11,7 @@ Finding: LSPI saves 95 % of the starts at λ = 0.1 after 98 s of experience (98 
 477), and both keep it, in 10 of 10 trainings each; Q-learning tuned keeps it after 6158 s (1301 to 13 650), and 8 of 10
 had come to it before and lost it.  As published neither saves a start: all 30 trainings overflow, QAC with α = β = 1e-6
 after 25 816 to 52 797 episodes that never grew longer.  Of 100 619 episodes of linear Q-learning of the swing-up none
-succeeds; PPO first sees 95 % of starts swung up after 157 286 s (5 of 5 trainings), DDPG after 8400 s (1 of 1).
+succeeds; PPO first sees 95 % of starts swung up after 157 286 s (5 of 5 trainings), DDPG after 8400 s (5 of 5).
 """
 
 from __future__ import annotations
