@@ -1,6 +1,6 @@
 """Solvers of nonlinear programs: in C, compiled and kept, where there is a compiler; in CasADi's own machine elsewhere.
 
-CasADi interprets a program's functions unless they are compiled, which takes ten to twenty times as long.  Nothing asks
+CasADi interprets a program's functions unless they are compiled, which takes several times as long.  Nothing asks
 for a compiler when the package is installed: it is looked for when a solver is made, and doing without one is no error.
 """
 

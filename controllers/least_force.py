@@ -57,7 +57,7 @@ class LeastForce:
     track_margin : float
         What is kept from the track's end, m.
     compiled : bool
-        Whether to look for a compiler; without one a solution takes ten to twenty times as long.
+        Whether to look for a compiler; without one a solution takes several times as long.
 
     Attributes
     ----------

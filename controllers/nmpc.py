@@ -100,8 +100,8 @@ class NMPC:
     max_iterations : int
         Iterations of the solver in one step, which bounds its time.
     solver : {"auto", "fatrop", "ipopt"}
-        ``"auto"`` takes fatrop with generated C where a compiler is found, else IPOPT in CasADi's own machine, ten to
-        twenty times slower; :attr:`backend` says which.
+        ``"auto"`` takes fatrop with generated C where a compiler is found, else IPOPT in CasADi's own machine, several
+        times slower; :attr:`backend` says which.
 
     Attributes
     ----------
