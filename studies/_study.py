@@ -15,6 +15,7 @@ import importlib
 import inspect
 import json
 import os
+import re
 import signal
 import threading
 import time
@@ -73,6 +74,8 @@ class Job(NamedTuple):
 
     setting: str
     repetition: int = 0
+    source: str = ""
+    """What code from outside the package it depends on: a place and a fingerprint."""
 
 
 class Result(NamedTuple):
@@ -264,19 +267,20 @@ def _write(file: Path, text: str) -> None:
 
 def _source(name: str) -> str:
     packages = [_ROOT / package for package in ("dpend", "controllers", "rl")]
-    return fingerprint(*packages, Path(__file__), _ROOT / (name.replace(".", "/") + ".py"))
+    return fingerprint(*packages, *Path(__file__).parent.glob("_*.py"), _ROOT / (name.replace(".", "/") + ".py"))
 
 
 def _key(name: str, job: Job, options: Options) -> str:
     """Hash everything a job's result depends on."""
-    told = {key: value for key, value in asdict(options).items() if key not in ("out", "workers")}
+    # A user's own controllers stand in the jobs that they have, and leave the others as they are.
+    told = {key: value for key, value in asdict(options).items() if key not in ("out", "workers", "controller")}
     text = json.dumps([_source(name), versions(), job, told], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def slug(job: Job) -> str:
     """Give the name under which a job's file and traces are kept."""
-    return f"{job.setting}-{job.repetition}".replace(" ", "_").replace("/", "_")
+    return re.sub(r"[\s/\\|:]", "_", f"{job.setting}-{job.repetition}")
 
 
 def _write_rows(file: Path, row_type: type[Any], rows: list[dict[str, Any]]) -> None:
