@@ -226,6 +226,8 @@ class Options(_study.Options):
 
     controller: tuple[str, ...] = ()
     """Your own controllers: path.py:factory or module:factory; the factory takes the rig, or nothing."""
+    only: tuple[str, ...] = ()
+    """Names of those who take part beside your own; left out, all."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -233,9 +235,11 @@ class Options(_study.Options):
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"--controller: two of those that take part are called {name!r}; rename the factory.")
+        for name in self.only:
+            self.entrant(name)
 
     def entrants(self, task: Task) -> list[Entrant]:
-        """Give those that do a task, the user's own last.
+        """Give those that do a task and were not left out, the user's own last.
 
         Parameters
         ----------
@@ -246,7 +250,8 @@ class Options(_study.Options):
         -------
         list of Entrant
         """
-        return [entrant for entrant in (*ENTRANTS, *map(own, self.controller)) if task in entrant.tasks]
+        chosen = [entrant for entrant in ENTRANTS if not self.only or entrant.name in self.only]
+        return [entrant for entrant in (*chosen, *map(own, self.controller)) if task in entrant.tasks]
 
     def entrant(self, name: str) -> Entrant:
         """Give one by its name.
@@ -258,7 +263,7 @@ class Options(_study.Options):
         """
         known = {entrant.name: entrant for entrant in (*ENTRANTS, *map(own, self.controller))}
         if name not in known:
-            raise ValueError(f"Nobody who takes part is called {name!r}.{suggestion(name, known)}")
+            raise ValueError(f"Nobody that can take part is called {name!r}.{suggestion(name, known)}")
         return known[name]
 
 

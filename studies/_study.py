@@ -272,8 +272,9 @@ def _source(name: str) -> str:
 
 def _key(name: str, job: Job, options: Options) -> str:
     """Hash everything a job's result depends on."""
-    # A user's own controllers stand in the jobs that they have, and leave the others as they are.
-    told = {key: value for key, value in asdict(options).items() if key not in ("out", "workers", "controller")}
+    # Who takes part stands in the jobs, so that one who joins leaves the others' results as they are.
+    aside = ("out", "workers", "controller", "only")
+    told = {key: value for key, value in asdict(options).items() if key not in aside}
     text = json.dumps([_source(name), versions(), job, told], sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 

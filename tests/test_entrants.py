@@ -93,8 +93,13 @@ def test_two_of_one_name_are_refused(file, tmp_path):
 
 
 def test_an_unknown_name_gets_the_nearest():
-    with pytest.raises(ValueError, match=r"Nobody who takes part is called 'LQE'. Did you mean 'LQR'\?"):
-        Options().entrant("LQE")
+    with pytest.raises(ValueError, match=r"Nobody that can take part is called 'LQE'. Did you mean 'LQR'\?"):
+        Options(only=("LQE",))
+
+
+def test_some_may_take_part_alone_with_ones_own(file):
+    options = Options(only=("LSPI", "LQR", "TVLQR"), controller=(f"{file}:ByHand",))
+    assert [entrant.name for entrant in options.entrants("balance")] == ["LQR", "LSPI", "ByHand"]
 
 
 def test_a_controller_that_joins_leaves_the_results_of_the_others_as_they_are(file):
