@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, fields
 from importlib import metadata
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -98,7 +98,7 @@ class DeepRecipe:
         Environment steps in all copies together.
     copies : int
         Environments side by side.
-    net : sequence of int
+    net : tuple of int
         Widths of the hidden layers, of actor and critic alike.
     batch : int
         Transitions in an update.
@@ -115,13 +115,18 @@ class DeepRecipe:
         How long a force is held, s; a whole number of samples.  At zero, the greatest up to 0.04 s for the swing-up and
         one sample for balancing.
     action_rate : float
-        Weight of the penalty on changes of the action; the last action is then observed.
+        Weight w of the penalty w |a_t - a_{t-1}| near upright; the last action is then observed.
+    sensor_noise : float
+        Standard deviation of noise on every measured state while learning (m, rad, m/s, rad/s), in place of the rig's
+        own; at zero, the rig's own.  Evaluations are on the rig as it is.
     caps : (float, float, float)
-        Conditioning for action policy smoothness (Mysore et al. 2021) in PPO's loss: weights of the temporal term
-        :math:`|\pi(o_t) - \pi(o_{t+1})|` and of the spatial term :math:`|\pi(o) - \pi(o + \epsilon)|`, and the standard
-        deviation of :math:`\epsilon`.
+        Conditioning for action policy smoothness (Mysore et al. 2021) in PPO's loss: weights of the temporal and of
+        the spatial term, and the standard deviation of the spatial one.
     layer_norm : bool
         Whether the critics of DDPG, TD3 and SAC normalise their layers; PPO's never does.
+    mirror : bool
+        Whether DDPG, TD3 and SAC learn from transitions and their mirror images, each half the time; the plant and the
+        reward know no left and right.
     evaluate_every : int
         Environment steps between evaluations.
     evaluation_starts : int
@@ -135,14 +140,14 @@ class DeepRecipe:
         If a value is of the wrong kind or out of its range; the message says what was expected.
     """
 
-    algo: str = "ppo"
-    task: str = "swing-up"
+    algo: Literal["ppo", "ddpg", "td3", "sac"] = "ppo"
+    task: Literal["swing-up", "balance"] = "swing-up"
     rig: Rig = field(default_factory=lambda: dpend.rig("gustafsson2016"))
     env: str = ""
-    starts: str = "mixed"
+    starts: Literal["mixed", "rest"] = "mixed"
     steps: int = 0
     copies: int = 0
-    net: Sequence[int] = (64, 64)
+    net: tuple[int, ...] = (64, 64)
     batch: int = 0
     learning_rate: tuple[float, float] = (0.0, 0.0)
     updates: float = 0.0
@@ -150,8 +155,10 @@ class DeepRecipe:
     noise: float = 0.0
     period: float = 0.0
     action_rate: float = 0.0
+    sensor_noise: float = 0.0
     caps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     layer_norm: bool = True
+    mirror: bool = False
     evaluate_every: int = 0
     evaluation_starts: int = 400
     enough: float = 0.0
@@ -197,6 +204,7 @@ class DeepRecipe:
             ("gamma", 0 < self.gamma < 1, "between 0 and 1"),
             ("noise", 0 < self.noise < math.inf, "greater than 0"),
             ("action_rate", 0 <= self.action_rate < math.inf, "at least 0"),
+            ("sensor_noise", 0 <= self.sensor_noise < math.inf, "at least 0"),
             ("enough", 0 <= self.enough <= 1, "within 0 and 1"),
             ("caps", len(self.caps) == 3 and min(self.caps) >= 0, "three numbers, at least 0"),
             ("net", len(self.net) > 0 and min(self.net) >= 1, "one or more widths, at least 1"),
@@ -205,8 +213,11 @@ class DeepRecipe:
                 raise ValueError(f"{name} must be {wanted}; got {getattr(self, name)!r}.")
         if any(self.caps) and self.algo != "ppo":
             raise ValueError(f"caps is for PPO; got algo {self.algo!r}. Use action_rate.")
-        if self.action_rate and self.env:
-            raise ValueError("action_rate is for our own plant; another environment has its own reward.")
+        if self.mirror and self.algo == "ppo":
+            raise ValueError("mirror is for DDPG, TD3 and SAC, which learn from what they keep; got algo 'ppo'.")
+        for name in ("action_rate", "sensor_noise", "mirror"):
+            if self.env and getattr(self, name):
+                raise ValueError(f"{name} is for our own plant; got env {self.env!r}.")
 
     @property
     def samples(self) -> int:
@@ -283,7 +294,11 @@ def training_envs(recipe: DeepRecipe) -> gym.vector.VectorEnv[Any, Any, Any]:
         )
     # Holding a force for k samples is sampling k times more slowly, with as many substeps.
     rig = recipe.rig
-    slow = rig.replace(sample_time=recipe.period, substeps=rig.substeps * recipe.samples)
+    slow = rig.replace(
+        sample_time=recipe.period,
+        substeps=rig.substeps * recipe.samples,
+        sensor_noise=recipe.sensor_noise or rig.sensor_noise,
+    )
     if recipe.task == "balance":
         task: Balance | SwingUp = Balance(lam=0.4)
         mixture: Sequence[Balance | SwingUp] = [task]

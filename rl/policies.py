@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,47 @@ _FORMAT = "dpend policy 2"
 _TRAINED = Path(__file__).parent / "trained"
 
 
-class LinearQPolicy:
+class Saved:
+    """What can be written to a file and read back by :func:`load_policy`."""
+
+    kind: ClassVar[str]
+    """What it is called in its file."""
+    about: dict[str, Any]
+    """Where it comes from, in words and numbers."""
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Give what is saved, by name; none of objects."""
+        raise NotImplementedError
+
+    def save(self, path: str | Path) -> Path:
+        """Write an ``.npz`` of plain arrays with a checksum over all of them, at once or not at all.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+
+        Returns
+        -------
+        Path
+            The file; ``.npz`` is added where the name has no suffix.
+        """
+        path = Path(path)
+        if not path.suffix:
+            path = path.with_suffix(".npz")
+        stored = self.arrays() | {
+            "format": np.array(_FORMAT),
+            "kind": np.array(self.kind),
+            "about": np.array(json.dumps(self.about, default=str)),
+        }
+        part = path.with_name(f".{path.name}.part")
+        with part.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, checksum=np.array(_checksum(stored)), **stored)
+        part.replace(path)
+        return path
+
+
+class LinearQPolicy(Saved):
     r"""Greedy law :math:`u = \arg\max_{a \in A} \hat q(s, a)` of a linear :math:`\hat q` over Table 1's features.
 
     With :math:`\hat q = c(s) + a\,g(s)` only :math:`a\,g(s)` matters, so the force is always at an end of
@@ -47,6 +87,7 @@ class LinearQPolicy:
         If an array has another shape or a number is not finite.
     """
 
+    kind = "linear Q"
     name = "linear Q-learning"
 
     def __init__(
@@ -72,24 +113,12 @@ class LinearQPolicy:
         forces = self.forces
         return lambda t, y: forces[np.argmax((slope_weights @ np.stack(slope_features(y.T)))[:, None] * forces, axis=1)]
 
-    def save(self, path: str | Path) -> Path:
-        """Write the policy as an ``.npz`` of plain arrays.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-
-        Returns
-        -------
-        Path
-            The file; ``.npz`` is added where the name has no suffix.
-        """
-        arrays = {"weights": self.weights, "scales": self.scales, "forces": self.forces}
-        return save_policy(path, "linear Q", arrays, self.about)
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Give what is saved, by name."""
+        return {"weights": self.weights, "scales": self.scales, "forces": self.forces}
 
 
-class GainPolicy:
+class GainPolicy(Saved):
     r"""Law :math:`u = -K x`, with angles taken to the nearest whole turn; the rig saturates it.
 
     Parameters
@@ -105,6 +134,7 @@ class GainPolicy:
         If the gain has another shape or a number is not finite.
     """
 
+    kind = "gain"
     name = "learned gain"
 
     def __init__(self, K: npt.ArrayLike, *, about: Mapping[str, Any] | None = None) -> None:
@@ -120,20 +150,9 @@ class GainPolicy:
         # A matrix product would round a row differently in batches of different size.
         return lambda t, y: -np.einsum("ij,j->i", nearest_upright(y), K)
 
-    def save(self, path: str | Path) -> Path:
-        """Write the policy as an ``.npz`` of plain arrays.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-
-        Returns
-        -------
-        Path
-            The file; ``.npz`` is added where the name has no suffix.
-        """
-        return save_policy(path, "gain", {"K": self.K}, self.about)
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Give what is saved, by name."""
+        return {"K": self.K}
 
 
 # OpenBLAS shares larger products out to threads, which for these costs up to a hundred times what it saves.
@@ -147,7 +166,7 @@ _SQUASHES: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
 )
 
 
-class Network:
+class Network(Saved):
     r"""Network :math:`\pi(o) = s(W_k h_{k-1} + b_k)` with :math:`h_i = \sigma(W_i h_{i-1} + b_i)` and :math:`h_0 = o`.
 
     Parameters
@@ -168,6 +187,8 @@ class Network:
     ValueError
         If a layer does not fit the one before, a number is not finite, or a function is unknown.
     """
+
+    kind = "network"
 
     def __init__(
         self,
@@ -227,21 +248,6 @@ class Network:
             h = activate(h)
         return _SQUASHES[self.squash](h @ self.weights[-1].T + self.biases[-1])
 
-    def save(self, path: str | Path) -> Path:
-        """Write the network as an ``.npz`` of plain arrays.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-
-        Returns
-        -------
-        Path
-            The file; ``.npz`` is added where the name has no suffix.
-        """
-        return save_policy(path, "network", self.arrays(), self.about)
-
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Give what is saved, by name."""
         layers = {f"weight{i}": _shortest(weight) for i, weight in enumerate(self.weights)}
@@ -266,7 +272,7 @@ class Network:
         return cls(weights, biases, activation=str(activation), squash=str(squash), about=about)
 
 
-class MLPPolicy:
+class MLPPolicy(Saved):
     r"""A network on scaled states, :math:`u = F\,\pi(o(y))`, held for a period of its own.
 
     Where the network has one input more than :func:`rl.shaping.observe` gives for a state, it also sees its own last
@@ -290,6 +296,8 @@ class MLPPolicy:
     ValueError
         If the network has other inputs or outputs, or a number is not finite and greater than zero.
     """
+
+    kind = "mlp"
 
     def __init__(
         self,
@@ -334,25 +342,13 @@ class MLPPolicy:
 
         return act
 
-    def save(self, path: str | Path) -> Path:
-        """Write the policy as an ``.npz`` of plain arrays.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-
-        Returns
-        -------
-        Path
-            The file; ``.npz`` is added where the name has no suffix.
-        """
-        arrays = self.network.arrays() | {
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Give what is saved, by name."""
+        return self.network.arrays() | {
             "scales": self.scales,
             "force_limit": np.array(self.force_limit),
             "period": np.array(self.period),
         }
-        return save_policy(path, "mlp", arrays, self.about)
 
     @classmethod
     def from_arrays(
@@ -364,7 +360,7 @@ class MLPPolicy:
         about: Mapping[str, Any],
         **network: npt.NDArray[Any],
     ) -> MLPPolicy:
-        """Build a policy from what :meth:`save` wrote."""
+        """Build a policy from what :meth:`arrays` gave."""
         net = Network.from_arrays(about=about, **network)
         return cls(net, scales=scales, force_limit=float(force_limit), period=float(period), about=about)
 
@@ -373,47 +369,13 @@ Policy = LinearQPolicy | GainPolicy | MLPPolicy | Network
 
 _KINDS: Mapping[str, Callable[..., Policy]] = MappingProxyType(
     {
-        "linear Q": LinearQPolicy,
-        "gain": GainPolicy,
-        "mlp": MLPPolicy.from_arrays,
-        "network": Network.from_arrays,
+        LinearQPolicy.kind: LinearQPolicy,
+        GainPolicy.kind: GainPolicy,
+        MLPPolicy.kind: MLPPolicy.from_arrays,
+        Network.kind: Network.from_arrays,
     }
 )
 """What builds each kind of policy from its arrays by name, and from ``about``."""
-
-
-def save_policy(path: str | Path, kind: str, arrays: Mapping[str, npt.NDArray[Any]], about: Mapping[str, Any]) -> Path:
-    """Write a policy as an ``.npz`` of plain arrays with a checksum over all of them, at once or not at all.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    kind : str
-        What builds it again; one of those that :func:`load_policy` knows.
-    arrays : mapping
-        Arrays by name, none of objects.
-    about : mapping
-        Where the policy comes from, in words and numbers.
-
-    Returns
-    -------
-    Path
-        The file; ``.npz`` is added where the name has no suffix.
-    """
-    path = Path(path)
-    if not path.suffix:
-        path = path.with_suffix(".npz")
-    stored = dict(arrays) | {
-        "format": np.array(_FORMAT),
-        "kind": np.array(kind),
-        "about": np.array(json.dumps(dict(about), default=str)),
-    }
-    part = path.with_name(f".{path.name}.part")
-    with part.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, checksum=np.array(_checksum(stored)), **stored)
-    part.replace(path)
-    return path
 
 
 def load_policy(policy: str | Path) -> Policy:

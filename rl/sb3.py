@@ -15,12 +15,12 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from stable_baselines3 import DDPG, PPO, SAC, TD3
-from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy, ContinuousCritic
 from stable_baselines3.common.torch_layers import create_mlp
-from stable_baselines3.common.type_aliases import RolloutBufferSamples
+from stable_baselines3.common.type_aliases import ReplayBufferSamples, RolloutBufferSamples
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.td3.policies import TD3Policy
@@ -29,7 +29,7 @@ from dpend.params import Array
 
 from .deep import DeepRecipe, training_envs
 from .policies import Network
-from .shaping import observation_scales, observe
+from .shaping import nearness, observation_scales, observe
 
 ROLLOUT = 64
 """Steps that PPO takes in every copy between two rounds of updates."""
@@ -42,7 +42,8 @@ class Copies(VecEnv):
     r"""A Gymnasium vector environment as Stable-Baselines3 wants it.
 
     On our plant, observations are :func:`rl.shaping.observe`'s, and :math:`\tfrac{1}{200}a_t^2` and
-    :math:`w(a_t - a_{t-1})^2` are taken off the reward; an episode begins with :math:`a_{-1} = 0`.
+    :math:`w\,|a_t - a_{t-1}|\,e^{-5(2 - \cos\theta_1 - \cos\theta_2)}` are taken off the reward; an episode begins
+    with :math:`a_{-1} = 0`.
 
     Parameters
     ----------
@@ -87,18 +88,22 @@ class Copies(VecEnv):
         """Take a step in every copy."""
         y, rewards, terminated, truncated, infos = self._envs.step(self._actions * self._half_range + self._middle)
         done = terminated | truncated
-        last = self._last
+        last, rows = self._last, np.flatnonzero(done)
+        arrived = y
+        if len(rows):
+            arrived = np.array(y)
+            arrived[rows] = np.stack(list(infos["final_obs"][rows]))
         if self._own:
             a = np.clip(self._actions[:, 0].astype(np.float64), -1.0, 1.0)
             rewards = rewards - _EFFORT * a**2
             if last is not None:
-                rewards -= self._action_rate * (a - last) ** 2
+                near = nearness(np.cos(arrived[:, 1]), np.cos(arrived[:, 2]))
+                rewards -= self._action_rate * np.abs(a - last) * near
                 last = self._last = a
         told = self._nothing
-        if done.any():
+        if len(rows):
             told = self._nothing.copy()
-            rows = np.flatnonzero(done)
-            finals = self._observed(np.stack(list(infos["final_obs"][rows])), None if last is None else last[rows])
+            finals = self._observed(arrived[rows], None if last is None else last[rows])
             for row, final in zip(rows, finals, strict=True):
                 cut = bool(truncated[row] and not terminated[row])
                 told[row] = {"terminal_observation": final, "TimeLimit.truncated": cut}
@@ -130,6 +135,25 @@ class Copies(VecEnv):
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
         """Tell that no copy is wrapped."""
         return [False] * self.num_envs
+
+
+class MirroredBuffer(ReplayBuffer):
+    r"""A replay buffer that gives each transition or, as often, its mirror image: that of :math:`-x` and :math:`-a`."""
+
+    def _get_samples(self, batch_inds: Any, env: Any = None) -> ReplayBufferSamples:
+        samples = super()._get_samples(batch_inds, env)
+        signs = torch.randint(2, (len(batch_inds), 1)) * 2.0 - 1.0
+        even = torch.zeros(samples.observations.shape[1], dtype=torch.bool)
+        even[[2, 4]] = True  # the cosines
+
+        def mirrored(observations: torch.Tensor) -> torch.Tensor:
+            return torch.where(even, observations, signs * observations)
+
+        return samples._replace(
+            observations=mirrored(samples.observations),
+            actions=signs * samples.actions,
+            next_observations=mirrored(samples.next_observations),
+        )
 
 
 class PairedBuffer(RolloutBuffer):
@@ -271,6 +295,7 @@ class Learner:
             train_freq=1,
             gradient_steps=max(round(recipe.updates * recipe.copies), 1),
             action_noise=noise,
+            replay_buffer_class=MirroredBuffer if recipe.mirror else None,
             policy_kwargs=net | {"optimizer_kwargs": {"fused": True}},  # the same steps, an eighth sooner
             **shared,
         )

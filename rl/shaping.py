@@ -44,6 +44,11 @@ def observation_scales(rig: Rig) -> Array:
     return np.array([reach, rate * length / 2, rate, rate], dtype=np.float64)
 
 
+def nearness(cos1: Array, cos2: Array) -> Array:
+    r"""Give :math:`e^{-5(2 - \cos\theta_1 - \cos\theta_2)}`: one upright, nothing far from it."""
+    return np.exp(-5.0 * (2.0 - cos1 - cos2))
+
+
 def observe(y: Array, scales: Array, last: Array | None = None) -> Array:
     r"""Give :math:`o(y)`, with the last action behind it where there is one.
 
@@ -122,7 +127,6 @@ class Shaped:
         height = 0.5 + 0.5 * (self._shares[0] * cos1 + self._shares[1] * cos2)
         rates = x[:, 4:] / self._scales[2:]
         calm = np.exp(-2.0 * (rates**2).sum(axis=1))
-        near = np.exp(-5.0 * (2.0 - cos1 - cos2))
         central = 1.0 - 0.3 * np.minimum((x[:, 0] / self._scales[0]) ** 2, 1.0)
-        reward = (0.5 * height * (0.5 + 0.5 * calm) + 0.5 * near) * central
+        reward = (0.5 * height * (0.5 + 0.5 * calm) + 0.5 * nearness(cos1, cos2)) * central
         return _FAILURE_COST * (codes != 0) - reward

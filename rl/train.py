@@ -1,7 +1,8 @@
-"""Train deep learners from the command line: ``python -m rl.train --algo ppo --task swing-up --rig gustafsson2016``.
+"""Train a learner from the command line: ``python -m rl.train --algo ppo --task swing-up --rig gustafsson2016``.
 
-Each seed has a folder with its settings, its evaluation curve, its best policy and a checkpoint.  A training that was
-stopped in any way goes on when the same command is given again; a finished one is left as it is.
+Of deep learners each seed has a folder with its settings, its evaluation curve, its best policy and a checkpoint.  A
+training that was stopped in any way goes on when the same command is given again; a finished one is left as it is.
+The linear learners lspi, qac-tuned and q-tuned take seconds and have no settings but seed and rig.
 """
 
 from __future__ import annotations
@@ -10,13 +11,14 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib.util import find_spec
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from queue import Empty
+from types import MappingProxyType
 from typing import Any, Literal
 
 import tyro
@@ -24,98 +26,94 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from tyro.conf import OmitArgPrefixes
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 import dpend
+from dpend.rig import Rig
 
 from .deep import INSTALL, DeepRecipe, DeepTraining, Evaluation, train_deep
+from .gaussian_qac import GaussianQAC, TableOneMean
+from .linear_q import LinearQLearning
+from .lspi import LSPI
+from .policies import Policy
+
+LINEAR: Mapping[str, Callable[[Rig], LSPI | GaussianQAC | LinearQLearning]] = MappingProxyType(
+    {"lspi": LSPI, "qac-tuned": GaussianQAC.tuned, "q-tuned": LinearQLearning.tuned}
+)
+"""The linear learners, in their tuned form; with seed 0 on gustafsson2016 each gives the policy shipped by its name."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
-    """What can be told on the command line; a number left at zero is the algorithm's own."""
+class Seeds:
+    """What every learner can be told."""
 
-    algo: Literal["ppo", "ddpg", "td3", "sac"] = "ppo"
-    """The algorithm."""
-    task: Literal["swing-up", "balance"] = "swing-up"
-    """What to learn."""
-    rig: str = "gustafsson2016"
-    """The preset."""
-    env: str = ""
-    """A Gymnasium environment in place of task and rig, such as InvertedDoublePendulum-v5."""
     seed: int = 0
     """The first seed."""
     seeds: int = 1
     """How many: the first seed and those that follow."""
-    workers: int = 1
-    """Processes that share the seeds."""
     out: Path | None = None
-    """Folder for the results; left out, results/deep/ and what is learned by what."""
-    starts: Literal["mixed", "rest"] = "mixed"
-    """Where episodes of the swing-up begin: anywhere between hanging and upright, or at rest alone."""
-    steps: int = 0
-    """Environment steps."""
-    copies: int = 0
-    """Environments side by side."""
-    net: tuple[int, ...] = (64, 64)
-    """Widths of the hidden layers."""
-    batch: int = 0
-    """Transitions in an update."""
-    learning_rate: tuple[float, float] = (0.0, 0.0)
-    """At the beginning and at the end."""
-    updates: float = 0.0
-    """Updates for each environment step."""
-    gamma: float = 0.99
-    """Discount factor."""
-    noise: float = 0.0
-    """Standard deviation of exploration, in shares of the force limit."""
-    period: float = 0.0
-    """How long a force is held, s."""
-    action_rate: float = 0.0
-    """Weight of the penalty on changes of the action."""
-    caps: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """CAPS in PPO's loss: temporal weight, spatial weight, spatial deviation."""
-    layer_norm: bool = True
-    """Whether the critics of DDPG, TD3 and SAC normalise their layers."""
-    evaluate_every: int = 0
-    """Environment steps between evaluations."""
-    evaluation_starts: int = 400
-    """Starts of an evaluation."""
-    enough: float = 0.0
-    """Share of success in an evaluation that ends a training; at zero, all steps are taken."""
+    """Folder for the results; left out, one in results/ with the learner's name."""
 
     def __post_init__(self) -> None:
-        for name, least in (("seed", 0), ("seeds", 1), ("workers", 1)):
-            if getattr(self, name) < least:
-                raise ValueError(f"--{name} must be at least {least}; got {getattr(self, name)}.")
+        if self.seed < 0:
+            raise ValueError(f"--seed must be at least 0; got {self.seed}.")
+        if self.seeds < 1:
+            raise ValueError(f"--seeds must be at least 1; got {self.seeds}.")
 
     @property
-    def recipe(self) -> DeepRecipe:
-        """What a training depends on but its seed."""
-        return DeepRecipe(
-            algo=self.algo,
-            task=self.task,
-            rig=dpend.rig(self.rig),
-            env=self.env,
-            starts=self.starts,
-            steps=self.steps,
-            copies=self.copies,
-            net=self.net,
-            batch=self.batch,
-            learning_rate=self.learning_rate,
-            updates=self.updates,
-            gamma=self.gamma,
-            noise=self.noise,
-            period=self.period,
-            action_rate=self.action_rate,
-            caps=self.caps,
-            layer_norm=self.layer_norm,
-            evaluate_every=self.evaluate_every,
-            evaluation_starts=self.evaluation_starts,
-            enough=self.enough,
-        )
+    def all(self) -> range:
+        """The seeds."""
+        return range(self.seed, self.seed + self.seeds)
 
 
-def main(arguments: Sequence[str] | None = None) -> list[DeepTraining]:
+@dataclass(frozen=True, kw_only=True)
+class DeepOptions(Seeds):
+    """What can be told of deep learners."""
+
+    recipe: OmitArgPrefixes[DeepRecipe]
+    workers: int = 1
+    """Processes that share the seeds."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.workers < 1:
+            raise ValueError(f"--workers must be at least 1; got {self.workers}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearOptions(Seeds):
+    """What can be told of linear learners; their settings are their own."""
+
+    algo: Literal["lspi", "qac-tuned", "q-tuned"]
+    """The learner."""
+    rig: Rig = field(default_factory=lambda: dpend.rig("gustafsson2016"))
+    """A preset."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Which:
+    algo: str = "ppo"
+
+
+_REGISTRY = ConstructorRegistry()
+
+
+@_REGISTRY.primitive_rule
+def _preset(told: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Rig] | None:
+    """Let the command line name a rig."""
+    if told.type is not Rig:
+        return None
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="PRESET",
+        instance_from_str=lambda words: dpend.rig(words[0]),
+        is_instance=lambda rig: isinstance(rig, Rig),
+        str_from_instance=lambda rig: [next(name for name in dpend.rigs() if dpend.rig(name) == rig)],
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> list[Policy]:
     """Train from a command line.
 
     Parameters
@@ -125,43 +123,54 @@ def main(arguments: Sequence[str] | None = None) -> list[DeepTraining]:
 
     Returns
     -------
-    list of DeepTraining
+    list of LinearQPolicy, GainPolicy, MLPPolicy or Network
         One a seed.
     """
     console = Console(stderr=True, highlight=False)
-    options = tyro.cli(Options, args=arguments, description=__doc__, prog="python -m rl.train")
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    which, _ = tyro.cli(_Which, args=arguments, return_unknown_args=True, add_help=False)
+    kind = LinearOptions if which.algo in LINEAR else DeepOptions
+    options = tyro.cli(kind, args=arguments, description=__doc__, prog="python -m rl.train", registry=_REGISTRY)
+    command = " ".join(["python -m rl.train", *arguments])
     try:
-        recipe = options.recipe
-    except (TypeError, ValueError) as error:
-        return _refuse(console, str(error))
-    if not all(find_spec(name) for name in ("torch", "stable_baselines3")):
-        return _refuse(console, INSTALL)
-    out = options.out or Path("results") / "deep" / recipe.name
-    command = "python -m rl.train " + " ".join(sys.argv[1:] if arguments is None else arguments)
-    try:
-        return _train(options, recipe, out, command.strip(), console)
+        if isinstance(options, LinearOptions):
+            return _train_linear(options, command, console)
+        if not all(find_spec(name) for name in ("torch", "stable_baselines3")):
+            raise ImportError(INSTALL)
+        out = options.out or Path("results") / "deep" / options.recipe.name
+        return _train(options, options.recipe, out, command, console)
     except KeyboardInterrupt:
         console.print(
             "\nStopped. What was learned up to the last evaluation is kept: the same command goes on from there."
         )
         raise SystemExit(130) from None
-    except (ImportError, OSError, ValueError) as error:
-        return _refuse(console, str(error))
+    except (ImportError, OSError, TypeError, ValueError) as error:
+        console.print(f"[bold red]Error:[/] {escape(str(error))}", soft_wrap=True)
+        raise SystemExit(2) from None
 
 
-def _refuse(console: Console, why: str) -> Any:
-    console.print(f"[bold red]Error:[/] {escape(why)}", soft_wrap=True)
-    raise SystemExit(2)
+def _train_linear(options: LinearOptions, command: str, console: Console) -> list[Policy]:
+    """Train a linear learner with all seeds."""
+    learner = LINEAR[options.algo](options.rig)
+    policies: list[Policy] = []
+    for seed in options.all:
+        policy = learner.train(seed).policy
+        assert not isinstance(policy, TableOneMean)  # only the published learner ends so
+        policy.about["command"] = command
+        folder = (options.out or Path("results") / "linear" / options.algo) / f"seed-{seed}"
+        folder.mkdir(parents=True, exist_ok=True)
+        console.print(f"{policy!r} is in {policy.save(folder / 'policy.npz')}.", soft_wrap=True)
+        policies.append(policy)
+    return policies
 
 
-def _train(options: Options, recipe: DeepRecipe, out: Path, command: str, console: Console) -> list[DeepTraining]:
+def _train(options: DeepOptions, recipe: DeepRecipe, out: Path, command: str, console: Console) -> list[Policy]:
     """Train all seeds, in this process or in several, with a progress bar for each."""
-    seeds = range(options.seed, options.seed + options.seeds)
-    folders = {seed: out / f"seed-{seed}" for seed in seeds}
+    folders = {seed: out / f"seed-{seed}" for seed in options.all}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     done: dict[int, DeepTraining] = {}
     with Progress(*columns, console=console) as progress:
-        bars = {seed: progress.add_task(f"{recipe.name}, seed {seed}", total=recipe.steps) for seed in seeds}
+        bars = {seed: progress.add_task(f"{recipe.name}, seed {seed}", total=recipe.steps) for seed in folders}
 
         def show(seed: int, seen: Evaluation) -> None:
             words = f"{recipe.name}, seed {seed}, {_score(recipe, seen)}"
@@ -211,7 +220,7 @@ def _train(options: Options, recipe: DeepRecipe, out: Path, command: str, consol
         )
     Console().print(table)
     Console().print(f"Policies, curves and settings are in {out}/.", soft_wrap=True, highlight=False)
-    return list(done.values())
+    return [training.policy for training in done.values()]
 
 
 def _score(recipe: DeepRecipe, seen: Evaluation) -> str:

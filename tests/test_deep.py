@@ -1,7 +1,6 @@
 # pyright: reportMissingImports=false
 """Deep learning: the adapter against the stepper, exported policies against their models, trainings that go on."""
 
-import re
 import subprocess
 import sys
 import time
@@ -99,8 +98,10 @@ def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_bala
         ({"rig": RIG.replace(mass1=[0.5, 0.6])}, "A recipe has one rig; this one describes 2 rows."),
         (
             {"env": "InvertedDoublePendulum-v5", "action_rate": 1.0},
-            "action_rate is for our own plant; another environment has its own reward.",
+            "action_rate is for our own plant; got env 'InvertedDoublePendulum-v5'.",
         ),
+        ({"sensor_noise": -0.1}, "sensor_noise must be at least 0; got -0.1."),
+        ({"mirror": True}, "mirror is for DDPG, TD3 and SAC, which learn from what they keep; got algo 'ppo'."),
     ],
 )
 def test_recipes_that_make_no_sense_are_refused(changes, message):
@@ -154,13 +155,18 @@ def test_the_adapter_gives_the_observations_and_rewards_of_its_equations(action_
     def seen(states, last):
         return observe(states, scales, last if action_rate else None).astype(np.float32)
 
+    def finals(told):
+        return np.stack([np.zeros(6) if y is None else y for y in told.get("final_obs", [None] * 8)])
+
     np.testing.assert_array_equal(o, seen(y, last))
     for _ in range(260):
         actions = rng.uniform(-1, 1, (8, 1)).astype(np.float32)
         o, rewards, dones, infos = copies.step(actions)
         y, expected, terminated, truncated, told = envs.step(actions)
         a = actions[:, 0].astype(float)
-        expected = expected - 0.005 * a**2 - action_rate * (a - last) ** 2
+        cos1, cos2 = np.cos(np.where((terminated | truncated)[:, None], finals(told), y)[:, 1:3]).T
+        near = np.exp(-5.0 * (2.0 - cos1 - cos2))
+        expected = expected - 0.005 * a**2 - action_rate * np.abs(a - last) * near
         np.testing.assert_allclose(rewards, expected, rtol=1e-6, atol=1e-6)
         np.testing.assert_array_equal(dones, terminated | truncated)
         for i in np.flatnonzero(dones):
@@ -196,6 +202,46 @@ def test_an_exported_policy_acts_as_its_model(recipe):
     of_model = np.clip(learner.act(o.astype(np.float32)), -1, 1)
     np.testing.assert_allclose(learner.network()(o), of_model, rtol=0, atol=1e-5)
     assert np.ptp(of_model) > 1e-3
+
+
+@needs_torch
+def test_noise_while_learning_is_on_what_is_seen_and_not_on_the_rig_that_judges():
+    recipe = DeepRecipe(copies=2000, sensor_noise=0.01)
+    assert recipe.rig == RIG
+    envs = training_envs(recipe)
+    assert isinstance(envs, CartDoublePendulumVectorEnv)
+    y, _ = envs.reset(seed=0)
+    np.testing.assert_allclose((y - envs.state).std(axis=0), 0.01, rtol=0.1)
+
+
+@needs_torch
+def test_mirrored_transitions_are_those_of_the_mirrored_plant():
+    from rl.sb3 import Learner
+
+    learner = Learner(small("ddpg", mirror=True, copies=4), 0)
+    learner.learn(200)
+    buffer = learner._model.replay_buffer
+    kept = {}
+    for i in range(buffer.pos):
+        for j in range(4):
+            line = buffer.observations[i, j], buffer.actions[i, j], buffer.next_observations[i, j]
+            kept[np.abs(line[0]).tobytes()] = (*line, buffer.rewards[i, j])
+    samples, signs = buffer.sample(300), []
+    for o, a, following, reward in zip(
+        samples.observations.numpy(),
+        samples.actions.numpy(),
+        samples.next_observations.numpy(),
+        samples.rewards.numpy(),
+        strict=True,
+    ):
+        before, action, after, gain = kept[np.abs(o).tobytes()]
+        sign = 1.0 if (o == before).all() else -1.0
+        mirror = np.array([sign, sign, 1, sign, 1, sign, sign, sign])
+        np.testing.assert_array_equal(o, mirror * before)
+        np.testing.assert_array_equal(following, mirror * after)
+        assert (a, reward) == (sign * action, gain)
+        signs.append(sign)
+    assert abs(np.mean(signs)) < 0.3
 
 
 @needs_torch
@@ -312,12 +358,28 @@ def test_without_torch_the_command_line_says_what_to_install():
 def test_the_command_line_refuses_bad_settings_before_anything_runs(capsys):
     from rl import train
 
-    with pytest.raises(SystemExit):
-        train.main(["--rig", "gustafson2016"])
-    assert "There is no preset rig 'gustafson2016'. Did you mean 'gustafsson2016'?" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        train.main(["--seeds", "0"])
-    assert re.search(r"--seeds must be at least 1; got 0\.", capsys.readouterr().err)
+    for told, message in (
+        (["--rig", "gustafson2016"], "There is no preset rig 'gustafson2016'."),
+        (["--seeds", "0"], "--seeds must be at least 1; got 0."),
+        (["--workers", "0"], "--workers must be at least 1; got 0."),
+        (["--gamma", "1"], "gamma must be between 0 and 1; got 1.0."),
+    ):
+        with pytest.raises(SystemExit, match="2"):
+            train.main(told)
+        assert message in capsys.readouterr().err
+
+
+def test_the_command_line_states_a_recipe(monkeypatch):
+    from rl import train
+
+    told = []
+    monkeypatch.setattr(train, "_train", lambda options, recipe, *_: told.append(recipe))
+    settings = ["--algo", "sac", "--rig", "pilco2011", "--net", "8", "9", "--learning-rate", "1e-3", "1e-4"]
+    train.main([*settings, "--no-layer-norm"])
+    expected = DeepRecipe(
+        algo="sac", rig=dpend.rig("pilco2011"), net=(8, 9), learning_rate=(1e-3, 1e-4), layer_norm=False
+    )
+    assert told[0].to_dict() == expected.to_dict()
 
 
 @needs_torch
@@ -373,9 +435,9 @@ def test_several_seeds_are_trained_side_by_side(tmp_path, capsys):
         "--evaluation-starts",
         "4",
     ]
-    trainings = train.main([*small_ones, "--seeds", "2", "--workers", "2", "--out", str(tmp_path)])
-    assert [training.policy.about["seed"] for training in trainings] == [0, 1]
-    assert trainings[0].policy.about["command"].startswith("python -m rl.train --steps 1024")
+    policies = train.main([*small_ones, "--seeds", "2", "--workers", "2", "--out", str(tmp_path)])
+    assert [policy.about["seed"] for policy in policies] == [0, 1]
+    assert policies[0].about["command"].startswith("python -m rl.train --steps 1024")
     assert (tmp_path / "seed-1" / "policy.npz").exists()
     assert "environment steps" in capsys.readouterr().out
 
