@@ -2,21 +2,22 @@
 
 Method: gustafsson2016 (40 N, 2.4 m), starts at rest, 300 samples, neither link beyond a right angle.  A start is
 recoverable if any controller of a list saves it in the simulator, or optimal control does: the motion that asks for
-the least force (controllers/least_force.py), its forces replayed from the exact start, then LQR.  What is left is "not
-found": no proof that there is nothing.  Beside it stands an indicator, the null-controllable set of the two unstable
-modes of the linearisation.  Random starts are those of studies.lambda_sweep; a grid of (θ1, θ2) gives the map.
+the least force (controllers/least_force.py), its forces replayed from the exact start, then LQR.  A controller of yours
+(``--controller path.py:factory``) is asked for what is left.  What then is left is "not found": no proof that there is
+nothing.  Beside it stands an indicator, the null-controllable set of the two unstable modes of the linearisation.
+Random starts are those of studies.lambda_sweep; a grid of (θ1, θ2) gives the map.
 
 Finding: at λ = .1/.2/.3/.4/.5 100/100/98.7/86.5/73.8 % of 1000 starts each (95 %: ±1 to ±3), where LQR saves
 100/99.8/84.5/64.5/47.2 %.  What is found needs at most 39.99 N, what is not at least 40.04 N.  Of the recoverable among
 the first 200, iLQR MPC saves 99.5 % at λ = .3 and 97.6 % at .4.  By the report's criterion, which lets link 2 swing
-round, all but 2 of 6000 starts are recoverable.  From ``--lam 0.05 0.1 0.2 0.3 0.4 0.5``, kept in
+round, all but 2 of 6000 starts are recoverable.  From the default options, kept in
 docs/results/recoverable.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -38,7 +39,7 @@ from controllers.least_force import LeastForce
 from dpend.params import Array, Params
 from dpend.tasks import check_lam
 
-from . import _study
+from . import _entrants, _study
 from ._intervals import Rate, wilson
 from ._study import Job, Result, Traces
 
@@ -78,14 +79,14 @@ _TABLES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_study.Options):
+class Options(_entrants.Options):
     """What can be told on the command line."""
 
     lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
     """Spreads of the starting angles, rad."""
     starts: int = 1000
     """Starts at each spread."""
-    grid: int = 21
+    grid: int = 41
     """Points on each side of the map; none for no map.  One half is computed, the other is its mirror image."""
     extent: float = 0.8
     """Greatest angle on the map, rad."""
@@ -118,6 +119,11 @@ class Options(_study.Options):
         if self.quick:
             return self.lam[-2:], min(self.starts, 4), min(self.grid, 3), min(self.planned, 1)
         return self.lam, self.starts, self.grid, self.planned
+
+    @property
+    def yours(self) -> list[_entrants.Entrant]:
+        """The user's own controllers."""
+        return [entrant for entrant in self.entrants("balance") if entrant.source]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,7 +261,13 @@ def optimal(x0: Array, task: dpend.Balance, guesses: int = 0) -> tuple[float, bo
 
 
 def judge(
-    x0: Array, task: dpend.Balance, *, everywhere: bool = False, planned: int = 0, guesses: int = 0
+    x0: Array,
+    task: dpend.Balance,
+    *,
+    everywhere: bool = False,
+    planned: int = 0,
+    guesses: int = 0,
+    yours: Sequence[_entrants.Entrant] = (),
 ) -> list[Verdict]:
     """Find out which starts can be saved, by what is cheapest first.
 
@@ -271,6 +283,8 @@ def judge(
         The first so many starts are met by iLQR MPC, whatever else saves them.
     guesses : int
         Random guesses of optimal control beside the first.
+    yours : sequence of Entrant
+        Controllers that are asked where nothing else saves a start.
 
     Returns
     -------
@@ -279,6 +293,7 @@ def judge(
     saves = {name: dpend.simulate_many(RIG, law(), x0, task=task).success for name, law in LAWS.items()}
     by_report = dpend.simulate_many(RIG, LAWS["LQR"](), x0, task=replace(task, criterion="report")).success
     mpc = ILQRMPC(RIG, upright_only=True)
+    others = {entrant.name: entrant.make(RIG, task) for entrant in yours}
     verdicts = []
     for i, start in enumerate(x0):
         by = next((name for name, saved in saves.items() if saved[i]), NONE)
@@ -288,13 +303,18 @@ def judge(
             by = OPTIMAL if by == NONE and saved else by
         asked = "-"
         if i < planned or by == NONE:
-            saved = bool(dpend.simulate_many(RIG, mpc, start[None], task=task).success[0])
-            asked = "yes" if saved else "no"
-            by = MPC if by == NONE and saved else by
+            asked = "yes" if _saves(mpc, start, task) else "no"
+            by = MPC if by == NONE and asked == "yes" else by
+        if by == NONE:
+            by = next((name for name, other in others.items() if _saves(other, start, task)), NONE)
         report = by != NONE or bool(by_report[i]) or optimal(start, replace(task, criterion="report"))[1]
         lqr, stiff = bool(saves["LQR"][i]), bool(saves["sign of stiff LQR"][i])
         verdicts.append(Verdict(by != NONE, by, least, report, lqr, stiff, asked))
     return verdicts
+
+
+def _saves(controller: dpend.Controller, start: Array, task: dpend.Balance) -> bool:
+    return bool(dpend.simulate_many(RIG, controller, start[None], task=task).success[0])
 
 
 # -------------------------------------------------------------------------------------------------------- the indicator
@@ -395,8 +415,9 @@ def jobs(options: Options) -> list[Job]:
     """List the work: fifty starts a job."""
     lams, starts, _, _ = options.sizes
     on_map = len(map_starts(options))
-    return [Job(f"lam {lam:g}", k) for lam in lams for k in range(-(-starts // _CHUNK))] + [
-        Job("map", k) for k in range(-(-on_map // _CHUNK))
+    source = " ".join(entrant.source for entrant in options.yours)
+    return [Job(f"lam {lam:g}", k, source) for lam in lams for k in range(-(-starts // _CHUNK))] + [
+        Job("map", k, source) for k in range(-(-on_map // _CHUNK))
     ]
 
 
@@ -406,13 +427,13 @@ def run(job: Job, options: Options) -> Result:
     first = job.repetition * _CHUNK
     if job.setting == "map":
         lam, x0 = math.nan, map_starts(options)[first : first + _CHUNK]
-        verdicts = judge(x0, dpend.Balance(), everywhere=True, guesses=options.guesses)
+        verdicts = judge(x0, dpend.Balance(), everywhere=True, guesses=options.guesses, yours=options.yours)
     else:
         lam = next(lam for lam in lams if job.setting == f"lam {lam:g}")
         task = dpend.Balance(lam=lam)
         x0 = task.starts(np.random.default_rng([options.seed, 1]), starts, RIG)[first : first + _CHUNK]
         met = max(planned - first, 0) if lam in options.planned_lam else 0
-        verdicts = judge(x0, task, planned=met, guesses=options.guesses)
+        verdicts = judge(x0, task, planned=met, guesses=options.guesses, yours=options.yours)
     return Result(
         [
             Row(
@@ -508,12 +529,12 @@ def _plot_map(axis: Axes, rows: list[Row]) -> None:
     kind = np.zeros((len(angles), len(angles)))
     force = np.full(kind.shape, np.nan)
     for row in rows:
-        colour = 0 if not row.recoverable else 1 if row.by in (OPTIMAL, MPC) else 3 if row.lqr else 2
+        colour = 0 if not row.recoverable else 3 if row.lqr else 2 if row.by in LAWS else 1
         for sign in (1, -1):
             at = place[sign * row.th2], place[sign * row.th1]
             kind[at], force[at] = colour, row.least_force
     colours = ["#f0f0f0", "#b8b8b8", "#8ab6dc", "#2d6da8"]
-    words = ["not found", "only optimal control or iLQR MPC", "another LQR or its sign", "LQR, Q = I, R = 1"]
+    words = ["not found", "only optimal control or others", "another LQR or its sign", "LQR, Q = I, R = 1"]
     axis.pcolormesh(angles, angles, kind, cmap=ListedColormap(colours), vmin=-0.5, vmax=3.5, shading="nearest")
     if len(angles) > 4:
         levels = axis.contour(angles, angles, force, [10, 20, 40, 80], colors="k", linewidths=[0.6, 0.6, 1.6, 0.6])
@@ -548,7 +569,9 @@ def summary(rows: list[Row]) -> RenderableType:
     ways.add_column("")
     for lam in by_lam:
         ways.add_column(f"λ = {lam:g}", justify="right")
-    for name in (*LAWS, OPTIMAL, MPC, NONE):
+    ours = (*LAWS, OPTIMAL, MPC)
+    yours = dict.fromkeys(row.by for row in rows if row.by not in (*ours, NONE))
+    for name in (*ours, *yours, NONE):
         counts = (sum(row.by == name for row in chosen) for chosen in by_lam.values())
         ways.add_row("not found" if name == NONE else name, *map(str, counts))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import dpend
-from controllers import LQR, NoTrajectory
+from controllers import LQR, NoTrajectory, Zero
 from controllers.least_force import LeastForce
 from studies import _study, recoverable
 from studies._study import Job
@@ -167,6 +167,20 @@ def test_every_start_that_any_controller_saves_counts_as_recoverable():
     assert [row.recoverable for row in rows] == [row.by != recoverable.NONE for row in rows]
     assert all(row.least_force > 0.99 * 40 for row in rows if not row.recoverable)
     assert {row.by for row in rows} > {"LQR", recoverable.OPTIMAL, recoverable.NONE}
+
+
+def test_a_controller_of_yours_is_asked_for_what_nothing_else_saves_and_its_success_counts(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text("from controllers import LQR\ndef mine(rig):\n    return LQR(rig)\n")
+    options = recoverable.Options(lam=(0.1,), starts=3, grid=0, controller=(f"{tmp_path / 'mine.py'}:mine",))
+    (job,) = recoverable.jobs(options)
+    assert {row.by for row in recoverable.run(job, options).rows} == {"LQR"}
+    monkeypatch.setattr(recoverable, "LAWS", dict.fromkeys(("LQR", "sign of stiff LQR"), Zero))
+    monkeypatch.setattr(recoverable, "ILQRMPC", lambda rig, **settings: Zero())
+    monkeypatch.setattr(recoverable, "optimal", lambda *_: (math.nan, False))
+    rows = recoverable.run(job, options).rows
+    assert {row.by for row in rows} == {"mine"}
+    assert all(row.recoverable and not row.lqr and row.mpc == "no" for row in rows)
+    assert recoverable.jobs(recoverable.Options(lam=(0.1,), starts=3, grid=0)) == [Job("lam 0.1", 0)] != [job]
 
 
 def test_one_half_of_the_map_and_its_mirror_image_are_the_whole_map():
