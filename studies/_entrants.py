@@ -5,8 +5,9 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import itertools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -207,7 +208,7 @@ ENTRANTS: tuple[Entrant, ...] = (
     ),
     Entrant(
         name="PPO swing-up, smooth", make=_learned("ppo-swing-up-smooth"), tasks=BOTH, told=_SHAPED,
-        style=("#CC79A7", "H", "--"), policy="ppo-swing-up-smooth",
+        style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth",
     ),
     Entrant(
         name="DDPG swing-up", make=_learned("ddpg-swing-up"), tasks=BOTH, told=_SHAPED,
@@ -215,6 +216,25 @@ ENTRANTS: tuple[Entrant, ...] = (
     ),
 )  # fmt: skip
 """All that come with the package, as designed with their defaults or as shipped."""
+
+
+def styles(names: Iterable[str], *others: Entrant) -> dict[str, tuple[str, str, object]]:
+    """Give each its colour, marker and line style; the user's own, who come without, get markers of their own.
+
+    Parameters
+    ----------
+    names : iterable of str
+        As tables call them.
+    *others : Entrant
+        Those that take part in one study only.
+
+    Returns
+    -------
+    dict
+    """
+    known = {entrant.name: entrant.style for entrant in (*ENTRANTS, *others)}
+    spare = (("#7F3C8D", marker, "-") for marker in itertools.cycle("h8d*<>"))
+    return {name: known[name] if name in known else next(spare) for name in names}
 
 
 # --------------------------------------------------------------------------------------------- controllers of your own

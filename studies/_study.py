@@ -105,7 +105,7 @@ class Study(Protocol):
         """Draw the figure, or several by name, from the saved table."""
         ...
 
-    def summary(self, rows: list[Any], /) -> RenderableType:
+    def summary(self, rows: list[Any], traces: Traces, /) -> RenderableType:
         """Condense the table for the terminal."""
         ...
 
@@ -183,13 +183,14 @@ def run_study(name: str, options: Options) -> list[Any]:
     _write(out / "meta.json", json.dumps(meta, indent=2, default=str) + "\n")
 
     rows = read_rows(out / "rows.csv", study.Row)
-    figures = study.plot(rows, read_traces(out / "traces.npz"))
+    traces = read_traces(out / "traces.npz")
+    figures = study.plot(rows, traces)
     for added, figure in (figures if isinstance(figures, Mapping) else {"": figures}).items():
         figure.savefig(out / f"{short}{added}.png", dpi=200)
     if getattr(options, "films", False):
-        cast(Any, study).films(rows, read_traces(out / "traces.npz"), out)
+        cast(Any, study).films(rows, traces, out)
     console = Console()
-    console.print(study.summary(rows))
+    console.print(study.summary(rows, traces))
     console.print(f"Figure, table and settings are in {out}/.", soft_wrap=True, highlight=False)
     return rows
 

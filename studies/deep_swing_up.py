@@ -181,7 +181,7 @@ def _median(traces: list[dict[str, Array]]) -> tuple[Array, Array]:
     return longest, np.median(columns, axis=0)
 
 
-def summary(rows: list[Row]) -> RenderableType:
+def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table: success with its interval, by learner, and what learning cost."""
     table = Table(
         title="Fresh starts that succeed, %, and 95 % interval over trainings; beside, medians over trainings: "

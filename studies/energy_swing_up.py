@@ -176,7 +176,7 @@ def plot(rows: list[Row], traces: Traces) -> Figure:
     return figure
 
 
-def summary(rows: list[Row]) -> Table:
+def summary(rows: list[Row], traces: Traces) -> Table:
     """Condense the table."""
     table = Table(title=f"From hanging ± {SPREAD} rad, {DURATION:g} s; with 95 % intervals")
     for heading in (

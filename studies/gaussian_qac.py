@@ -342,7 +342,7 @@ def _plot_ablation(axis: Axes, rows: list[Row]) -> None:
     axis.grid(alpha=0.3, axis="x")
 
 
-def summary(rows: list[Row]) -> RenderableType:
+def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table: how published trainings end, and what tuned ones and ablations save."""
     published = Table(title="Algorithm 2 to the letter")
     headings = (

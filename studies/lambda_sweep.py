@@ -284,7 +284,7 @@ def _plot_trace(axis: Axes, force: Array, sample_time: float, name: str) -> None
     axis.grid(alpha=0.3)
 
 
-def summary(rows: list[Row]) -> RenderableType:
+def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table: success with interval by controller and spread, and what learning cost."""
     names = _present(rows)
     lams = list(dict.fromkeys(row.lam for row in rows))

@@ -588,7 +588,7 @@ def _short(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.2g}"
 
 
-def summary(rows: list[Row]) -> RenderableType:
+def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table: how trainings ended, and what it takes until a start is saved, and 95 % of them."""
     ends = Table(title="Trainings and their learning episodes")
     for heading in ("learner", "trainings", "converged", "diverged", "episodes", "of them successful"):

@@ -415,7 +415,7 @@ def plot(rows: list[Row], traces: Traces) -> Figure:
     return figure
 
 
-def summary(rows: list[Row]) -> RenderableType:
+def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table: successes of learning by features, and what each search found."""
     learned = Table(title="Linear Q-learning from the side")
     for heading in ("features", "trainings", "overflowed", "episodes", "ended upright", "longest upright (s)"):

@@ -230,7 +230,7 @@ def _by_lam(rows: list[Row], controller: str) -> list[list[Row]]:
     return [_of(rows, controller, lam) for lam in LAMS]
 
 
-def summary(rows: list[Row]) -> RenderableType:
+def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table: gains found, their errors, success by λ beside the Riccati gain's, and variation."""
     found = Table(title=f"Gains within {CLOSE:.0%} of the Riccati gain, and their error")
     for heading in ("learner", "found", "median error", "90th percentile", "largest", "experience (s)"):

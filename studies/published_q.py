@@ -177,7 +177,7 @@ def plot(rows: list[Row], traces: Traces) -> Figure:
     return figure
 
 
-def summary(rows: list[Row]) -> Table:
+def summary(rows: list[Row], traces: Traces) -> Table:
     """Condense the table: how trainings end, by features and criterion, and what the converged are worth.
 
     Combinations share their seeds, so only the counts of one combination are independent; the best is shown.

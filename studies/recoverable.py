@@ -555,7 +555,7 @@ def _cell(rate: Rate) -> str:
     return f"{100 * rate.share:.1f} \\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
 
 
-def summary(rows: list[Row]) -> RenderableType:
+def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table: what can be saved by spread, by what, and how much of it iLQR MPC and LQR save."""
     by_lam = _random(rows)
     shares = Table(title="Starts, %, with 95 % intervals")

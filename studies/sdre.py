@@ -112,7 +112,7 @@ def plot(rows: list[Row], traces: Traces) -> Figure:
     return figure
 
 
-def summary(rows: list[Row]) -> Table:
+def summary(rows: list[Row], traces: Traces) -> Table:
     """Condense the table."""
     table = Table(title="Starts saved, with 95 % intervals")
     lams = sorted({row.lam for row in rows})

@@ -5,8 +5,9 @@ Method: every controller starts gustafsson2016 (±40 N, ±2.4 m, 0.02 s) from ha
 meet the same starts.  Then the same with starts moved by ±0.2 rad; with masses and lengths each wrong by up to 5, 10
 and 20 % at random; and with encoders of 2048 counts a turn (0.1 mm for the cart), no measured rates and one sample of
 delay, read through an extended Kalman filter.  Then the twelve transfers between the four equilibria, 6 s each, and
-hanging to upright on every preset.  Intervals are Wilson's, 95 %.  A step is late if it takes longer than the sample
-time; the first step of a run, in which planners plan from nothing, is reported apart.
+hanging to upright on every preset.  Intervals are Wilson's, 95 %.  Steps are timed one run at a time, also of laws that
+could treat many at once; a step is late if it takes longer than the sample time; the first step of a run, in which
+planners plan from nothing, is reported apart.  A controller of yours takes part: ``--controller path.py:factory``.
 
 Finding: iLQR MPC, NMPC and TVLQR swing up from all 400 starts.  iLQR MPC takes 0.1 ms a step (median) and succeeds in
 99.5 % with plants 10 % off, 98 % at 20 %, 100 % behind encoders and delay.  Passivity and LQR arrive in 0 and 9.5 %,
@@ -17,7 +18,7 @@ each.  From the default options, kept in docs/results/swing_up.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -29,45 +30,24 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 
 import dpend
-from controllers import (
-    EKF,
-    ILQRMPC,
-    LQR,
-    NMPC,
-    TVLQR,
-    Catch,
-    EnergyPump,
-    EnergySwingUp,
-    Trajectory,
-    WithEstimator,
-    shipped,
-)
+from controllers import EKF, NMPC, WithEstimator
+from dpend.controller import is_batched
 from dpend.draw import draw_strobe
-from rl import MLPPolicy, load_policy
 
-from . import _study
+from . import _entrants, _study
+from ._entrants import Entrant
 from ._intervals import Rate, wilson
+from ._step_times import StepTimes, undisturbed
 from ._study import Job, Result, Traces
 
-Make = Callable[[dpend.Rig, dpend.SwingUp], dpend.Controller]
 
-CONTROLLERS: dict[str, Make] = {
-    "iLQR MPC": lambda rig, task: ILQRMPC(rig, target=task.target),
-    "NMPC": lambda rig, task: NMPC(rig, target=task.target),
-    "energy NMPC": lambda rig, task: NMPC(rig, target=task.target, cost="energy"),
-    "TVLQR": lambda rig, task: TVLQR(rig, _plan(rig, task)),
-    "passivity, LQR": lambda rig, task: Catch(rig, EnergySwingUp(rig)),
-    "pumping, LQR": lambda rig, task: Catch(rig, EnergyPump(rig)),
-    "pumping, iLQR, LQR": lambda rig, task: Catch(rig, Catch(rig, EnergyPump(rig), _last_swing(rig)), LQR(rig)),
-    "PPO": lambda rig, task: _learned("ppo-swing-up"),
-    "PPO, smooth": lambda rig, task: _learned("ppo-swing-up-smooth"),
-    "DDPG": lambda rig, task: _learned("ddpg-swing-up"),
-}
-"""Controllers by name, made for a rig and a task.
+def _energy_nmpc(rig: dpend.Rig, task: dpend.Balance | dpend.SwingUp) -> NMPC:
+    assert isinstance(task, dpend.SwingUp)
+    return NMPC(rig, target=task.target, cost="energy")
 
-The seventh pumps energy, plans the last swing, and balances.  The learned ones come with the package, one training of
-each, trained on the nominal plant.
-"""
+
+ENERGY_NMPC = Entrant(name="energy NMPC", make=_energy_nmpc, tasks=("swing-up",), style=("#56B4E9", "p", "-"))
+"""What takes part in this study only."""
 
 NOMINAL_ONLY = ("NMPC", "energy NMPC", "passivity, LQR", "pumping, LQR", "pumping, iLQR, LQR")
 """Those that take milliseconds a step, or do not claim to be robust; they meet every condition if all is asked for."""
@@ -79,29 +59,12 @@ MOVERS = ("iLQR MPC", "TVLQR")
 """Those that take any equilibrium as their target and make the transfers; NMPC too, if all is asked for."""
 
 
-def _plan(rig: dpend.Rig, task: dpend.SwingUp) -> Trajectory | None:
-    """Give the trajectory that comes with the package, or None, for which a controller finds one of its own."""
-    start = "hanging" if task.start == "down-down" else task.start
-    return shipped(rig, start, task.target)
-
-
-def _learned(name: str) -> MLPPolicy:
-    policy = load_policy(name)
-    assert isinstance(policy, MLPPolicy)
-    return policy
-
-
-def _last_swing(rig: dpend.Rig) -> ILQRMPC:
-    """Give a planner that sees little ahead, for when the energy is right."""
-    return ILQRMPC(rig, horizon=40, starts=4)
-
-
 _CHUNK = 50  # runs in a job
 _ENCODERS = {"resolution": (1e-4, 2 * np.pi / 2048, 2 * np.pi / 2048, 0.0, 0.0, 0.0), "sensor_delay": 1}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_study.Options):
+class Options(_entrants.Options):
     """What can be told on the command line."""
 
     runs: int = 200
@@ -129,8 +92,16 @@ class Options(_study.Options):
             return self.preset_runs
         return self.transfer_runs if case.start in dpend.EQUILIBRIA else self.runs
 
+    @property
+    def contestants(self) -> dict[str, Entrant]:
+        """Those that take part, by name."""
+        known = self.entrants("swing-up")
+        shipped = [entrant for entrant in known if not entrant.source]
+        return {entrant.name: entrant for entrant in (*shipped, ENERGY_NMPC, *known[len(shipped) :])}
+
 
 _RIG = "gustafsson2016"
+_PRESETS = [name for name in dpend.rigs() if name != _RIG]
 
 
 class Case(NamedTuple):
@@ -155,6 +126,11 @@ class Case(NamedTuple):
         steps = round(seconds / dpend.rig(self.rig).sample_time)
         return dpend.SwingUp(start=self.start, target=self.target, spread=spread, steps=steps)
 
+    @property
+    def timed(self) -> bool:
+        """Whether it is run one start after the other, to time the steps."""
+        return self.condition == "nominal" and self.rig == _RIG and self.start in STARTS
+
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
@@ -175,30 +151,25 @@ class Row:
     effort: float
     variation: float
     saturated: float
-    step_median: float
-    """Median time of a step, s, without the first of the run."""
-    step_p99: float
-    step_max: float
-    first_step: float
-    late: int
-    """Steps but the first that took longer than the sample time."""
 
 
 def cases(options: Options) -> Iterator[Case]:
     """List what is tried, refusals left in: a controller may refuse a preset, with the reason."""
-    for name in CONTROLLERS:
+    for name in options.contestants:
         for start in STARTS:
             for condition in CONDITIONS if options.all or name not in NOMINAL_ONLY else CONDITIONS[:1]:
                 yield Case(name, start, condition=condition)
     for name in (*MOVERS, *(("NMPC",) if options.all else ())):
         yield from (Case(name, start, target) for start, target in TRANSFERS)
-        yield from (Case(name, "hanging", rig=rig) for rig in dpend.rigs() if rig != _RIG)
+    for name, entrant in options.contestants.items():
+        if entrant.source or name in MOVERS or (options.all and name == "NMPC"):
+            yield from (Case(name, "hanging", rig=rig) for rig in _PRESETS)
 
 
 def jobs(options: Options) -> list[Job]:
     """List the work, in chunks of runs; where it must be quick, some of it."""
     return [
-        Job(case.setting, chunk)
+        Job(case.setting, chunk, options.contestants[case.controller].source)
         for case in cases(options)
         if not options.quick or _shows_it_works(case)
         for chunk in range(-(-options.count(case) // _CHUNK))
@@ -218,7 +189,12 @@ def run(job: Job, options: Options) -> Result:
     n = min(options.count(case) - first, _CHUNK)
     mine = slice(first, first + n)
     starts = task.starts(np.random.default_rng([options.seed, 1]), first + n, rig)[mine]
-    controller = CONTROLLERS[case.controller](rig, task)
+    try:
+        controller = options.contestants[case.controller].make(rig, task)
+    except ValueError:
+        if case.rig == _RIG:
+            raise
+        return Result([])  # refused
     true = rig
     if case.condition == "encoders, delay":
         true = rig.replace(**_ENCODERS)
@@ -226,41 +202,43 @@ def run(job: Job, options: Options) -> Result:
     elif case.condition.startswith("plant"):
         share = float(case.condition.split("±")[1].split()[0]) / 100
         true = _wrong(rig, share, np.random.default_rng([options.seed, 2]), first + n, mine)
-    runs = dpend.simulate_many(
-        true, controller, starts, task=task, seed=options.seed, first_row=first, record=job.repetition == 0
-    )
-    metrics = runs.metrics()
-    rows = []
-    for k in range(n):
-        steps = runs.step_time[k, 1 : runs.steps[k]]
-        rows.append(
-            Row(
-                controller=case.controller,
-                start=case.start,
-                target=case.target,
-                condition=case.condition,
-                rig=case.rig,
-                run=first + k,
-                success=bool(runs.success[k]),
-                **{name: _short(metrics[name][k]) for name in _METRICS},
-                step_median=_short(np.median(steps)),
-                step_p99=_short(np.quantile(steps, 0.99)),
-                step_max=_short(steps.max()),
-                first_step=_short(runs.step_time[k, 0]),
-                late=int((steps > rig.sample_time).sum()),
+    shown = job.repetition == 0 and case == Case(case.controller, "hanging")
+    size = 1 if case.timed else n
+    with undisturbed():
+        parts = [
+            dpend.simulate_many(
+                true, controller, starts[k : k + size],
+                task=task, seed=options.seed, first_row=first + k, record=shown,
             )
+            for k in range(0, n, size)
+        ]  # fmt: skip
+    runs = dpend.Runs.join(parts, true)
+    metrics = runs.metrics()
+    rows = [
+        Row(
+            controller=case.controller,
+            start=case.start,
+            target=case.target,
+            condition=case.condition,
+            rig=case.rig,
+            run=first + k,
+            success=bool(runs.success[k]),
+            **{name: _short(metrics[name][k]) for name in _METRICS},
         )
-    if job.repetition or case.condition != "nominal" or case.rig != _RIG:
-        return Result(rows)
-    return Result(rows, {"x": runs[0].x, "u": runs[0].u})
+        for k in range(n)
+    ]
+    traces = {"x": runs[0].x, "u": runs[0].u} if shown else {}
+    if case.timed or not is_batched(controller):
+        traces |= StepTimes.of(runs, rig.sample_time).traces()
+    return Result(rows, traces)
 
 
 _METRICS = ("time_up", "seconds", "peak_force", "travel", "effort", "variation", "saturated")
 
 
 def _short(value: float | np.floating) -> float:
-    """Give five digits: the table has thousands of rows, and no figure needs more."""
-    return float(f"{value:.5g}")
+    """Give four digits: the table has thousands of rows, and no figure needs more."""
+    return float(f"{value:.4g}")
 
 
 def _wrong(rig: dpend.Rig, share: float, rng: np.random.Generator, n: int, mine: slice) -> dpend.Rig:
@@ -272,15 +250,13 @@ def _wrong(rig: dpend.Rig, share: float, rng: np.random.Generator, n: int, mine:
 
 # ------------------------------------------------------------------------------------------------------------- figures
 
-_COLOURS = (
-    "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#333333", "#8C6D1F", "#999999", "#7F3C8D"
-)  # fmt: skip
-_MARKERS = "osD^vPX*hp"
+
+def _case(row: Row) -> Case:
+    return Case(row.controller, row.start, row.target, row.condition, row.rig)
 
 
 def _present(rows: list[Row]) -> list[str]:
-    found = {row.controller for row in rows}
-    return [name for name in CONTROLLERS if name in found]
+    return list(dict.fromkeys(row.controller for row in rows))
 
 
 def _chosen(rows: list[Row], **wanted: str) -> list[Row]:
@@ -317,9 +293,9 @@ def _plot_swings(rows: list[Row], traces: Traces) -> Figure:
         for column, colour, line, label in ((1, "#0072B2", "-", "link 1"), (2, "#D55E00", "--", "link 2")):
             angles.plot(t, x[:, column] / np.pi, color=colour, ls=line, lw=1.2, label=label)
         force.stairs(u, t, baseline=None, color="#009E73", lw=0.9)
+        if not first.success:
+            force.text(0.97, 0.9, "not up", transform=force.transAxes, ha="right", va="top", fontsize=8)
         for axis in (angles, force):
-            if not first.success:
-                axis.text(0.97, 0.9, "not up", transform=axis.transAxes, ha="right", va="top", fontsize=8)
             axis.grid(alpha=0.3)
         angles.set_xlim(0, 6)
         force.set(xlim=(0, 6), ylim=(-44, 44), yticks=(-40, 0, 40))
@@ -338,6 +314,7 @@ def _plot_swings(rows: list[Row], traces: Traces) -> Figure:
 def _plot_success(rows: list[Row]) -> Figure:
     """Draw the share of successes under every condition, with its interval, one panel a start."""
     names = _present(rows)
+    styles = _entrants.styles(names, ENERGY_NMPC)
     figure = Figure(figsize=(6.3, 1.2 + 0.5 * len(CONDITIONS)), layout="constrained")
     axes = figure.subplots(1, len(STARTS), sharex=True, sharey=True)
     for axis, start in zip(axes, STARTS, strict=True):
@@ -350,16 +327,15 @@ def _plot_success(rows: list[Row]) -> Figure:
                 axis.errorbar(
                     share.share, place + 0.09 * (order - (len(names) - 1) / 2),
                     xerr=[[share.share - share.low], [share.high - share.share]],
-                    color=_COLOURS[order], marker=_MARKERS[order], ms=4, lw=0.9, ls="none",
+                    color=styles[name][0], marker=styles[name][1], ms=4, lw=0.9, ls="none",
                     label=name if place == 0 else None,
                 )  # fmt: skip
         axis.set_title({"hanging": "from hanging", "side": "from (π/2, π/2)"}[start], fontsize=9)
         axis.xaxis.set_major_formatter(PercentFormatter(1.0))
-        axis.set(xlim=(-0.03, 1.03), yticks=range(len(CONDITIONS)))
+        axis.set(xlim=(-0.03, 1.03), ylim=(len(CONDITIONS) - 0.4, -0.6), yticks=range(len(CONDITIONS)))
         axis.set_yticklabels(CONDITIONS)
         axis.tick_params(labelsize=8)
         axis.grid(alpha=0.3)
-    axes[0].invert_yaxis()
     figure.supxlabel("runs that end upright", fontsize=9)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, fontsize=8, frameon=False)
     return figure
@@ -433,9 +409,11 @@ def films(rows: list[Row], traces: Traces, out: Path) -> None:
 # ------------------------------------------------------------------------------------------------------------ summary
 
 
-def summary(rows: list[Row]) -> RenderableType:
+def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table."""
-    tables = (_swings(rows), _conditions(rows), _steps(rows), _transfers(rows), _presets(rows))
+    tables = (
+        _swings(rows), _conditions(rows), _steps(rows, traces), _late(rows, traces), _transfers(rows), _presets(rows),
+    )  # fmt: skip
     return Group(*(table for table in tables if table.row_count))
 
 
@@ -449,6 +427,11 @@ def _said(own: list[Row]) -> str:
 def _median(own: list[Row], column: str, form: str) -> str:
     values = [getattr(row, column) for row in own if row.success]
     return format(float(np.median(values)), form) if values else "-"
+
+
+def _counted(own: list[Row]) -> str:
+    done = sum(row.success for row in own)
+    return f"{done} of {len(own)}" + (f", {_median(own, 'time_up', '.2f')} s" if done else "")
 
 
 def _swings(rows: list[Row]) -> Table:
@@ -489,26 +472,44 @@ def _conditions(rows: list[Row]) -> Table:
     return table
 
 
-def _steps(rows: list[Row]) -> Table:
-    table = Table(title="Time per step, ms, both starts, nominal; without the first step of a run, which stands last")
-    for heading in ("controller", "median", "p99", "longest", "late steps", "first step, median", "longest"):
+def _steps(rows: list[Row], traces: Traces) -> Table:
+    table = Table(title="Time per step, ms, one run at a time, nominal, both starts; the first step of a run apart")
+    for heading in ("controller", "median", "p99", "longest", "late", "of", "first step, median", "longest"):
         table.add_column(heading, justify="left" if heading == "controller" else "right")
     for name in _present(rows):
-        own = [row for start in STARTS for row in _chosen(rows, controller=name, start=start)]
-        of = {column: np.array([getattr(row, column) for row in own]) for column in _TIMES}
+        times = _times([row for start in STARTS for row in _chosen(rows, controller=name, start=start)], traces)
+        first = np.median(times.first), times.first.max()
         table.add_row(
             name,
-            *(
-                f"{1e3 * value:.3g}"
-                for value in (np.median(of["step_median"]), np.mean(of["step_p99"]), of["step_max"].max())
-            ),
-            str(sum(row.late for row in own)),
-            *(f"{1e3 * value:.3g}" for value in (np.median(of["first_step"]), of["first_step"].max())),
+            *(f"{1e3 * value:.3g}" for value in (times.quantile(0.5), times.quantile(0.99), times.longest)),
+            str(times.late),
+            str(times.steps),
+            *(f"{1e3 * value:.3g}" for value in first),
         )
     return table
 
 
-_TIMES = ("step_median", "step_p99", "step_max", "first_step")
+def _late(rows: list[Row], traces: Traces) -> Table:
+    table = Table(title="Late steps under all conditions, transfers and presets, of those that treat one run at a time")
+    for heading in ("controller", "late", "of", "longest, ms"):
+        table.add_column(heading, justify="left" if heading == "controller" else "right")
+    for name in _present(rows):
+        own = [row for row in rows if row.controller == name]
+        if any("step_counts" in traces.get(_slug(row), {}) for row in own if not _case(row).timed):
+            times = _times(own, traces)
+            table.add_row(name, str(times.late), str(times.steps), f"{1e3 * times.longest:.3g}")
+    return table
+
+
+def _slug(row: Row) -> str:
+    """Give the name of the job that gave a row."""
+    return _study.slug(Job(_case(row).setting, row.run // _CHUNK))
+
+
+def _times(rows: list[Row], traces: Traces) -> StepTimes:
+    """Give the times of all steps of the jobs that gave these rows, as far as their steps were timed."""
+    saved = (traces.get(slug, {}) for slug in dict.fromkeys(map(_slug, rows)))
+    return StepTimes.joined(trace for trace in saved if "step_counts" in trace)
 
 
 def _transfers(rows: list[Row]) -> Table:
@@ -523,7 +524,7 @@ def _transfers(rows: list[Row]) -> Table:
         cells = []
         for name in movers:
             own = _chosen(rows, controller=name, start=start, target=target)
-            cells.append(f"{sum(row.success for row in own)} of {len(own)}, {_median(own, 'time_up', '.2f')} s")
+            cells.append(_counted(own) if own else "-")
         table.add_row(f"{start}, {target}", *cells)
     return table
 
@@ -534,15 +535,11 @@ def _presets(rows: list[Row]) -> Table:
     names = [name for name in _present(rows) if any(row.rig != _RIG and row.controller == name for row in rows)]
     for name in names:
         table.add_column(name, justify="right")
-    for rig in dict.fromkeys(row.rig for row in rows if row.rig != _RIG):
+    for rig in _PRESETS if names else ():
         cells = []
         for name in names:
             own = _chosen(rows, controller=name, start="hanging", rig=rig)
-            cells.append(
-                f"{sum(row.success for row in own)} of {len(own)}, {_median(own, 'time_up', '.2f')} s"
-                if own
-                else "refused"
-            )
+            cells.append(_counted(own) if own else "refused")
         table.add_row(rig, *cells)
     return table
 

@@ -43,7 +43,7 @@ def plot(rows, traces):
     return figure
 
 
-def summary(rows):
+def summary(rows, traces):
     return Table(str(len(rows)))
 
 

@@ -22,7 +22,7 @@ RIG = dpend.rig("gustafsson2016")
 def told(rows):
     console = Console(width=200)
     with console.capture() as capture:
-        console.print(learning_curves.summary(rows))
+        console.print(learning_curves.summary(rows, {}))
     return capture.get()
 
 
