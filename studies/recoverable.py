@@ -99,6 +99,8 @@ class Options(_entrants.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.only:
+            raise ValueError("--only leaves nobody out here: every start is tried by all that may save it.")
         if not self.lam:
             raise ValueError("--lam needs at least one spread.")
         for lam in self.lam:

@@ -97,7 +97,8 @@ class Options(_entrants.Options):
         """Those that take part, by name."""
         known = self.entrants("swing-up")
         shipped = [entrant for entrant in known if not entrant.source]
-        return {entrant.name: entrant for entrant in (*shipped, ENERGY_NMPC, *known[len(shipped) :])}
+        here_only = () if self.only else (ENERGY_NMPC,)
+        return {entrant.name: entrant for entrant in (*shipped, *here_only, *known[len(shipped) :])}
 
 
 _RIG = "gustafsson2016"
@@ -159,10 +160,11 @@ def cases(options: Options) -> Iterator[Case]:
         for start in STARTS:
             for condition in CONDITIONS if options.all or name not in NOMINAL_ONLY else CONDITIONS[:1]:
                 yield Case(name, start, condition=condition)
-    for name in (*MOVERS, *(("NMPC",) if options.all else ())):
-        yield from (Case(name, start, target) for start, target in TRANSFERS)
     for name, entrant in options.contestants.items():
-        if entrant.source or name in MOVERS or (options.all and name == "NMPC"):
+        moves = name in MOVERS or (options.all and name == "NMPC")
+        if moves:
+            yield from (Case(name, start, target) for start, target in TRANSFERS)
+        if moves or entrant.source:
             yield from (Case(name, "hanging", rig=rig) for rig in _PRESETS)
 
 
@@ -271,7 +273,10 @@ def rate(rows: list[Row]) -> Rate:
 
 def plot(rows: list[Row], traces: Traces) -> dict[str, Figure]:
     """Draw the swings, the success under every condition, and the transfers."""
-    return {"": _plot_swings(rows, traces), "_success": _plot_success(rows), "_transfers": _plot_transfers(rows)}
+    figures = {"": _plot_swings(rows, traces), "_success": _plot_success(rows)}
+    if any(row.start in dpend.EQUILIBRIA for row in rows):
+        figures["_transfers"] = _plot_transfers(rows)
+    return figures
 
 
 def _plot_swings(rows: list[Row], traces: Traces) -> Figure:

@@ -195,6 +195,7 @@ def test_one_half_of_the_map_and_its_mirror_image_are_the_whole_map():
     ("wrong", "message"),
     [
         ({"lam": ()}, "--lam needs at least one spread."),
+        ({"only": ("LQR",)}, "--only leaves nobody out here: every start is tried by all that may save it."),
         ({"lam": (0.1, 0.1)}, "--lam names a spread twice; got (0.1, 0.1)."),
         ({"starts": 0}, "--starts must be at least 1; got 0."),
         ({"grid": -1}, "--grid must be at least 0; got -1."),

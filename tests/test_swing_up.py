@@ -1,6 +1,7 @@
 """The swing-up study: a controller of one's own joins, refusals leave no row, step times are of all steps."""
 
 import gc
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -48,6 +49,13 @@ def test_a_controller_of_your_own_meets_every_condition_and_preset_and_a_refused
         )
     (line,) = (line for line in shown.get().splitlines() if "dm_control_two_poles" in line)
     assert "refused" in line
+
+
+def test_those_who_are_left_out_meet_nothing_and_the_others_all_they_met_before(options):
+    some = replace(options, only=("TVLQR",))
+    cases, every = list(swing_up.cases(some)), list(swing_up.cases(options))
+    assert {case.controller for case in cases} == {"TVLQR", "Mine"}
+    assert cases == [case for case in every if case.controller in ("TVLQR", "Mine")]
 
 
 def test_a_case_is_timed_one_run_at_a_time_and_gives_what_the_batch_gives(options):
