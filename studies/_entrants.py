@@ -173,19 +173,19 @@ ENTRANTS: tuple[Entrant, ...] = (
     ),
     Entrant(
         name="Q tuned",
-        make=_learned("q_tuned"),
+        make=_learned("q-tuned"),
         told=Told("none", "report's cost, weights tuned", "λ = .08 about upright"),
         style=("#009E73", "D", "-."),
         learner=lambda rig: LinearQLearning.tuned(rig),
-        policy="q_tuned",
+        policy="q-tuned",
     ),
     Entrant(
         name="QAC tuned",
-        make=_learned("qac_tuned"),
+        make=_learned("qac-tuned"),
         told=Told("none", "quadratic cost", "near upright"),
         style=("#CC79A7", "*", (0, (6, 1, 1, 1))),
         learner=lambda rig: GaussianQAC.tuned(rig),
-        policy="qac_tuned",
+        policy="qac-tuned",
     ),
     Entrant(
         name="LSPI",
