@@ -5,14 +5,14 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
-import itertools
 import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
+from itertools import cycle
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import dpend
 from controllers import ILQRMPC, LQR, NMPC, SDRE, TVLQR, BangBang, Catch, EnergyPump, EnergySwingUp, shipped
@@ -25,6 +25,9 @@ from rl import LSPI, GaussianQAC, LinearQLearning, load_policy
 from . import _study
 
 Task = Literal["balance", "swing-up"]
+
+Style = tuple[str, str, object]
+"""Colour, marker and line style of a curve."""
 
 RIG = dpend.rig("gustafsson2016")
 """The plant of the comparisons, as all of them believe it to be."""
@@ -60,8 +63,8 @@ class Entrant:
         What it can do at all: "balance", "swing-up".
     told : Told
         What it knew.
-    style : tuple
-        Colour, marker and line style of its curves.
+    style : Style
+        That of its curves.
     part : float
         Share of the runs that it meets, the first of all, because each takes long.
     learner : callable, optional
@@ -77,7 +80,7 @@ class Entrant:
     make: Callable[[Rig, Balance | SwingUp], Controller]
     tasks: tuple[Task, ...] = ("balance",)
     told: Told = _DESIGNED
-    style: tuple[str, str, object] = ("#7F3C8D", "h", "-")
+    style: Style = ("#7F3C8D", "h", "-")
     part: float = 1.0
     learner: Callable[[Rig], LinearQLearning | GaussianQAC | LSPI] | None = None
     policy: str = ""
@@ -218,23 +221,30 @@ ENTRANTS: tuple[Entrant, ...] = (
 """All that come with the package, as designed with their defaults or as shipped."""
 
 
-def styles(names: Iterable[str], *others: Entrant) -> dict[str, tuple[str, str, object]]:
-    """Give each its colour, marker and line style; the user's own, who come without, get markers of their own.
+_OWN: tuple[Style, ...] = (
+    ("#7F3C8D", "h", "-"), ("#7F3C8D", "8", "--"), ("#B33951", "h", "-."), ("#B33951", "8", ":"),
+)  # fmt: skip
+
+
+def styles(names: Iterable[str], known: Iterable[Entrant] = ENTRANTS) -> dict[str, Style]:
+    """Give colour, marker and line style of each who takes part, in the order of those known; users' own come last.
 
     Parameters
     ----------
     names : iterable of str
-        As tables call them.
-    *others : Entrant
-        Those that take part in one study only.
+        Those in a table, in any order.
+    known : iterable of Entrant
+        Those that have a style; the others get one in turn.
 
     Returns
     -------
     dict
     """
-    known = {entrant.name: entrant.style for entrant in (*ENTRANTS, *others)}
-    spare = (("#7F3C8D", marker, "-") for marker in itertools.cycle("h8d*<>"))
-    return {name: known[name] if name in known else next(spare) for name in names}
+    own_styles = cycle(_OWN)
+    style = {entrant.name: entrant.style for entrant in known}
+    present = dict.fromkeys(names)
+    chosen = {name: style[name] for name in style if name in present}
+    return chosen | {name: next(own_styles) for name in present if name not in style}
 
 
 # --------------------------------------------------------------------------------------------- controllers of your own
@@ -244,6 +254,9 @@ def styles(names: Iterable[str], *others: Entrant) -> dict[str, tuple[str, str, 
 class Options(_study.Options):
     """What a comparison can be told on the command line."""
 
+    known: ClassVar[tuple[Entrant, ...]] = ENTRANTS
+    """Those that can take part beside the user's own; a study that has more adds them."""
+
     controller: tuple[str, ...] = ()
     """Your own controllers: path.py:factory or module:factory; the factory takes the rig, or nothing."""
     only: tuple[str, ...] = ()
@@ -251,7 +264,7 @@ class Options(_study.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        names = [entrant.name for entrant in (*ENTRANTS, *map(own, self.controller))]
+        names = [entrant.name for entrant in (*self.known, *map(own, self.controller))]
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"--controller: two of those that take part are called {name!r}; rename the factory.")
@@ -270,7 +283,7 @@ class Options(_study.Options):
         -------
         list of Entrant
         """
-        chosen = [entrant for entrant in ENTRANTS if not self.only or entrant.name in self.only]
+        chosen = [entrant for entrant in self.known if not self.only or entrant.name in self.only]
         return [entrant for entrant in (*chosen, *map(own, self.controller)) if task in entrant.tasks]
 
     def entrant(self, name: str) -> Entrant:
@@ -281,7 +294,7 @@ class Options(_study.Options):
         ValueError
             If nobody is called so.
         """
-        known = {entrant.name: entrant for entrant in (*ENTRANTS, *map(own, self.controller))}
+        known = {entrant.name: entrant for entrant in (*self.known, *map(own, self.controller))}
         if name not in known:
             raise ValueError(f"Nobody that can take part is called {name!r}.{suggestion(name, known)}")
         return known[name]

@@ -121,9 +121,10 @@ def crossing(
     if not 0 < share < 1:
         raise ValueError(f"share must lie between 0 and 1; got {share!r}.")
     n = len(rows)
-    drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), size=resamples) / n
+    distinct, counts = np.unique(rows, axis=0, return_counts=True)  # few, however many starts there are
+    drawn = np.random.default_rng(seed).multinomial(n, counts / n, size=resamples) / n
     found = _crossed(points, rows.mean(axis=0), share, n)
-    levels_drawn = np.array([_crossed(points, curve, share, n) for curve in drawn @ rows])
+    levels_drawn = np.array([_crossed(points, curve, share, n) for curve in drawn @ distinct])
     tail = stats.norm.cdf(stats.t.ppf(0.025, n - 1) * np.sqrt(n / (n - 1)))
     low, high = np.quantile(levels_drawn, [tail, 1 - tail], method="inverted_cdf")
     return Crossing(found, min(float(low), found), max(float(high), found))

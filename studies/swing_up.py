@@ -21,7 +21,7 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -46,8 +46,11 @@ def _energy_nmpc(rig: dpend.Rig, task: dpend.Balance | dpend.SwingUp) -> NMPC:
     return NMPC(rig, target=task.target, cost="energy")
 
 
-ENERGY_NMPC = Entrant(name="energy NMPC", make=_energy_nmpc, tasks=("swing-up",), style=("#56B4E9", "p", "-"))
-"""What takes part in this study only."""
+KNOWN = (
+    *_entrants.ENTRANTS,
+    Entrant(name="energy NMPC", make=_energy_nmpc, tasks=("swing-up",), style=("#56B4E9", "p", "-")),
+)
+"""Who can take part; the last in this study only."""
 
 NOMINAL_ONLY = ("NMPC", "energy NMPC", "passivity, LQR", "pumping, LQR", "pumping, iLQR, LQR")
 """Those that take milliseconds a step, or do not claim to be robust; they meet every condition if all is asked for."""
@@ -66,6 +69,8 @@ _ENCODERS = {"resolution": (1e-4, 2 * np.pi / 2048, 2 * np.pi / 2048, 0.0, 0.0, 
 @dataclass(frozen=True, kw_only=True)
 class Options(_entrants.Options):
     """What can be told on the command line."""
+
+    known: ClassVar[tuple[Entrant, ...]] = KNOWN
 
     runs: int = 200
     """Starts of each controller under each condition."""
@@ -95,10 +100,7 @@ class Options(_entrants.Options):
     @property
     def contestants(self) -> dict[str, Entrant]:
         """Those that take part, by name."""
-        known = self.entrants("swing-up")
-        shipped = [entrant for entrant in known if not entrant.source]
-        here_only = () if self.only else (ENERGY_NMPC,)
-        return {entrant.name: entrant for entrant in (*shipped, *here_only, *known[len(shipped) :])}
+        return {entrant.name: entrant for entrant in self.entrants("swing-up")}
 
 
 _RIG = "gustafsson2016"
@@ -319,7 +321,7 @@ def _plot_swings(rows: list[Row], traces: Traces) -> Figure:
 def _plot_success(rows: list[Row]) -> Figure:
     """Draw the share of successes under every condition, with its interval, one panel a start."""
     names = _present(rows)
-    styles = _entrants.styles(names, ENERGY_NMPC)
+    styles = _entrants.styles(names, KNOWN)
     figure = Figure(figsize=(6.3, 1.2 + 0.5 * len(CONDITIONS)), layout="constrained")
     axes = figure.subplots(1, len(STARTS), sharex=True, sharey=True)
     for axis, start in zip(axes, STARTS, strict=True):

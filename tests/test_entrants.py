@@ -8,7 +8,7 @@ import pytest
 import dpend
 from dpend.controller import check_controller
 from studies import _study
-from studies._entrants import ENTRANTS, RIG, Options, own
+from studies._entrants import ENTRANTS, RIG, Options, own, styles
 
 BY_HAND = """
 class ByHand:
@@ -50,6 +50,12 @@ def test_each_who_takes_part_is_a_controller_for_the_tasks_it_claims(entrant):
 def test_names_and_styles_tell_all_apart():
     assert len({entrant.name for entrant in ENTRANTS}) == len(ENTRANTS)
     assert len({str(entrant.style) for entrant in ENTRANTS}) == len(ENTRANTS)
+
+
+def test_styles_come_in_the_order_of_those_known_and_users_own_differ():
+    found = styles(["mine", "LSPI", "LQR", "theirs", "LQR"])
+    assert list(found) == ["LQR", "LSPI", "mine", "theirs"]
+    assert len(set(map(str, found.values()))) == 4
 
 
 def test_a_share_of_the_runs_is_never_less_than_twenty():

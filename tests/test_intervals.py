@@ -128,6 +128,11 @@ def test_a_crossing_beyond_the_levels_is_infinite_and_one_near_the_end_may_be() 
     assert found.high == np.inf
 
 
+def test_the_order_of_the_rows_does_not_matter() -> None:
+    outcomes = fresh_starts(np.random.default_rng(0))
+    assert crossing(LEVELS, outcomes) == crossing(LEVELS, outcomes[::-1])
+
+
 def test_crossings_are_the_same_for_the_same_seed() -> None:
     outcomes = fresh_starts(np.random.default_rng(0))
     assert crossing(LEVELS, outcomes, seed=3) == crossing(LEVELS, outcomes, seed=3)
