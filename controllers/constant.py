@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from dpend.arguments import is_finite
 from dpend.controller import Act
 
 
@@ -28,7 +28,7 @@ class Constant:
     force: float
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.force):
+        if not is_finite(self.force):
             raise ValueError(f"force must be finite, in N; got {self.force!r}.")
 
     def start(self, n: int, rng: np.random.Generator) -> Act:

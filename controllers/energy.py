@@ -12,10 +12,11 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from dpend.arguments import is_finite
 from dpend.controller import Act
 from dpend.params import Array
 from dpend.plant import energies, rates
-from dpend.rig import Rig, as_rig
+from dpend.rig import Rig, single_rig
 
 
 class EnergySwingUp:
@@ -240,9 +241,7 @@ def _reach(rig: Rig) -> float:
 
 def _checked_rig(rig: Rig | str, law: str) -> tuple[Rig, float]:
     """Give the rig, and the energy of upright at rest."""
-    rig = as_rig(rig)
-    if rig.n is not None:
-        raise ValueError(f"{law} is designed for one plant; got a rig of {rig.n} rows.")
+    rig = single_rig(rig, law)
     c = rig.params.coefficients()
     energy = float(c.f1 + c.f2)
     if not energy > 0:
@@ -251,7 +250,7 @@ def _checked_rig(rig: Rig | str, law: str) -> tuple[Rig, float]:
 
 
 def _positive(name: str, value: float) -> float:
-    if not (np.ndim(value) == 0 and math.isfinite(value) and value > 0):
+    if not (is_finite(value) and value > 0):
         raise ValueError(f"{name} must be a finite number greater than 0; got {value!r}.")
     return float(value)
 
@@ -259,6 +258,6 @@ def _positive(name: str, value: float) -> float:
 def _checked_kick(rig: Rig, kick: float | None) -> float:
     if kick is None:
         return 0.1 * float(rig.params.coefficients().d1) * float(rig.params.gravity)
-    if not (np.ndim(kick) == 0 and math.isfinite(kick)):
+    if not is_finite(kick):
         raise ValueError(f"kick must be a finite force in N; got {kick!r}.")
     return float(kick)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from dpend.controller import Act, Controller, check_controller, is_batched
 from dpend.params import Array
-from dpend.rig import Rig, as_rig
+from dpend.rig import Rig, ideal_rig, single_rig
 from dpend.stepper import Stepper
 
 Follow = Callable[[Array, Array], Array]
@@ -102,12 +102,12 @@ class Predictor:
     """
 
     def __init__(self, rig: Rig | str) -> None:
-        self.rig = _one_rig(rig, "Predictor")
+        self.rig = single_rig(rig, "Predictor")
 
     def follow(self, n: int) -> Follow:
         """Give the estimator for ``n`` runs."""
         under_way = _UnderWay(self.rig, n)
-        ahead = Stepper(_plant(self.rig), n)
+        ahead = Stepper(ideal_rig(self.rig), n)
 
         def follow(y: Array, u: Array) -> Array:
             under_way.listen(u)
@@ -131,7 +131,7 @@ class _Filter:
         measurement_noise: npt.ArrayLike | None = None,
         rates_noise: npt.ArrayLike | None = None,
     ) -> None:
-        self.rig = _one_rig(rig, type(self).__name__)
+        self.rig = single_rig(rig, type(self).__name__)
         c = self.rig.params.coefficients()
         if process_noise is None:
             gravity = float(self.rig.params.gravity)
@@ -176,7 +176,7 @@ class _Filter:
         rig = self.rig
         under_way = _UnderWay(rig, n)
         move = self._move(n)
-        ahead = Stepper(_plant(rig), n)
+        ahead = Stepper(ideal_rig(rig), n)
         first_guess = np.diag(np.concatenate([self.measurement_noise, self.rates_noise]) ** 2)
         mean, covariance = np.zeros((n, 6)), np.tile(first_guess, (n, 1, 1))
         samples = -1
@@ -256,7 +256,7 @@ class EKF(_Filter):
         points = 1 + 4 * 9
         moved = np.zeros((points, 9))
         moved[1:] = (places[:, None, None] * np.eye(9)).reshape(-1, 9)
-        model = Stepper(_plant(self.rig), n * points)
+        model = Stepper(ideal_rig(self.rig), n * points)
         deviation = self.process_noise**2
 
         def move(mean: Array, covariance: Array, force: Array) -> tuple[Array, Array]:
@@ -303,7 +303,7 @@ class UKF(_Filter):
     """
 
     def _move(self, n: int) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
-        model = Stepper(_plant(self.rig), n * 18)
+        model = Stepper(ideal_rig(self.rig), n * 18)
         signs = np.array([1.0, -1.0])
 
         def move(mean: Array, covariance: Array, force: Array) -> tuple[Array, Array]:
@@ -372,18 +372,6 @@ def _root(covariance: Array) -> Array:
     squares, axes = np.linalg.eigh(np.where(finite, covariance, np.eye(covariance.shape[-1])))
     root = np.sqrt(np.maximum(squares, 0))[:, :, None] * axes.transpose(0, 2, 1)
     return np.where(finite, root, np.nan)
-
-
-def _plant(rig: Rig) -> Rig:
-    """Give the plant alone, with the rig's clock: forces reach it as they are, and nothing is measured."""
-    return Rig(params=rig.params, sample_time=rig.sample_time, substeps=rig.substeps)
-
-
-def _one_rig(rig: Rig | str, name: str) -> Rig:
-    rig = as_rig(rig)
-    if rig.n is not None:
-        raise ValueError(f"{name} believes in one plant; got a rig of {rig.n} rows.")
-    return rig
 
 
 def _three(name: str, value: npt.ArrayLike, unit: str) -> Array:

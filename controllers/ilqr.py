@@ -22,15 +22,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from dpend.arguments import checked_whole, is_finite
 from dpend.controller import Act
 from dpend.kernels import acceleration_slopes, ahead, compiled, cos, inline, rates, sample, sin
 from dpend.params import Array, Coefficients
-from dpend.rig import Rig, as_rig
+from dpend.rig import Rig, single_rig
 from dpend.state import as_equilibrium, as_states
 
 from .lqr import LQR
@@ -124,14 +125,13 @@ def ilqr(
     ValueError
         If an argument is out of range or has the wrong shape, or the rig describes several plants.
     """
-    planner = _Planner(as_rig(rig), target, horizon, Q, R, upright_only)
+    planner = _Planner(rig, target, horizon, Q, R, upright_only)
     start = np.asarray(x0, dtype=np.float64)
     if start.shape != (6,):
         raise ValueError(f"x0 must be one state of shape (6,); got shape {start.shape}.")
     start = as_states(start)[0]
-    _check_whole("starts", starts, 0)
-    _check_whole("iterations", iterations, 0)
-    if not (math.isfinite(tolerance) and tolerance >= 0):
+    starts, iterations = checked_whole("starts", starts, 0), checked_whole("iterations", iterations, 0)
+    if not (is_finite(tolerance) and tolerance >= 0):
         raise ValueError(f"tolerance must be finite and at least 0; got {tolerance!r}.")
     problem = planner.about(start)
     if u_guess is None and x_guess is None:
@@ -226,9 +226,8 @@ class ILQRMPC:
         explore: bool = True,
         upright_only: bool = False,
     ) -> None:
-        self._planner = _Planner(as_rig(rig), target, horizon, Q, R, upright_only)
-        _check_whole("iterations", iterations, 0)
-        _check_whole("starts", starts, 0)
+        self._planner = _Planner(rig, target, horizon, Q, R, upright_only)
+        iterations, starts = checked_whole("iterations", iterations, 0), checked_whole("starts", starts, 0)
         self.rig = self._planner.rig
         self.lqr = self._planner.lqr
         self.horizon = self._planner.horizon
@@ -281,15 +280,14 @@ class _Planner:
 
     def __init__(
         self,
-        rig: Rig,
+        rig: Rig | str,
         target: str | npt.ArrayLike,
         horizon: int | None,
         Q: Sequence[float] | None,
         R: float | None,
         upright_only: bool,
     ) -> None:
-        if rig.n is not None:
-            raise ValueError(f"iLQR plans for one plant; got a rig of {rig.n} rows.")
+        rig = single_rig(rig, "iLQR")
         params = rig.params
         g, L = float(params.gravity), float(params.length1 + params.length2) / 2
         mass = float(params.coefficients().d1)
@@ -306,9 +304,8 @@ class _Planner:
             horizon = max(
                 round((_HORIZON_UPRIGHT if upright_only else _HORIZON) * math.sqrt(L / g) / rig.sample_time), 2
             )
-        _check_whole("horizon", horizon, 2)
         self.rig = rig
-        self.horizon = int(horizon)
+        self.horizon = checked_whole("horizon", horizon, 2)
         self.upright_only = bool(upright_only)
         self.target = as_equilibrium(target)
         self.lqr = LQR(rig, self.Q, self.R, about=self.target)
@@ -510,11 +507,6 @@ class _Horizon:
             self._plan = challenger
         self._challenger = None if better or self._age >= _PATIENCE or challenger.converged else challenger
         return better
-
-
-def _check_whole(name: str, value: Any, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise ValueError(f"{name} must be a whole number, at least {least}; got {value!r}.")
 
 
 # -------------------------------------------------------------------------------------------------------- compiled code

@@ -23,8 +23,9 @@ import casadi
 import numpy as np
 import numpy.typing as npt
 
+from dpend.arguments import is_finite
 from dpend.params import Array
-from dpend.rig import Rig, as_rig
+from dpend.rig import Rig, single_rig
 from dpend.state import as_states
 from dpend.symbolic import substep_function
 
@@ -80,9 +81,7 @@ class LeastForce:
         track_margin: float = 0.02,
         compiled: bool = True,
     ) -> None:
-        rig = as_rig(rig)
-        if rig.n is not None:
-            raise ValueError(f"The least force is that of one plant; got a rig of {rig.n} rows.")
+        rig = single_rig(rig, "LeastForce")
         if not rig.params.gravity > 0:
             raise ValueError("Without gravity nothing falls: the least force is zero; give a rig with gravity.")
         if isinstance(horizon, bool) or not isinstance(horizon, int | np.integer) or horizon < 2:
@@ -90,7 +89,7 @@ class LeastForce:
         limits = np.array(angle_limits, dtype=np.float64)
         if limits.shape != (2,) or not (limits > 0).all():
             raise ValueError(f"angle_limits must be two angles, greater than 0 rad; got {angle_limits!r}.")
-        if not 0 <= track_margin < rig.track_limit:
+        if not (is_finite(track_margin) and 0 <= track_margin < rig.track_limit):
             raise ValueError(
                 f"track_margin must be at least 0 m and less than the track's {rig.track_limit:g} m; "
                 f"got {track_margin!r}."

@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
+from dpend.arguments import is_finite
 from dpend.controller import Act, Controller, check_controller, is_batched
 from dpend.linear import discretize, linearize
 from dpend.params import Array
-from dpend.rig import Rig, as_rig
+from dpend.rig import Rig, single_rig
 from dpend.state import NAMES, as_equilibrium, deviation
 
 
@@ -104,12 +105,9 @@ class LQR:
         about: str | npt.ArrayLike = "up-up",
         design: Literal["discrete", "continuous"] = "discrete",
     ) -> None:
-        rig = as_rig(rig)
-        if rig.n is not None:
-            raise ValueError(f"LQR is designed for one plant; got a rig of {rig.n} rows.")
-        self.rig = rig
+        self.rig = rig = single_rig(rig, "LQR")
         self.Q = _weight(Q)
-        if not (np.ndim(R) == 0 and math.isfinite(R) and R > 0):
+        if not (is_finite(R) and R > 0):
             raise ValueError(f"R, the weight of the force, must be a finite number greater than 0; got {R!r}.")
         self.R = float(R)
         self.about = as_equilibrium(about)
@@ -257,7 +255,7 @@ class BangBang:
 
     def __init__(self, inner: Controller, force: float) -> None:
         check_controller(inner)
-        if not (math.isfinite(force) and force > 0):
+        if not (is_finite(force) and force > 0):
             raise ValueError(f"force must be finite and greater than 0 N; got {force!r}.")
         self.inner = inner
         self.force = float(force)

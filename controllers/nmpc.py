@@ -24,10 +24,11 @@ import control
 import numpy as np
 import numpy.typing as npt
 
+from dpend.arguments import checked_whole, is_finite
 from dpend.controller import Act
 from dpend.linear import discretize, linearize
 from dpend.params import Array
-from dpend.rig import Rig, as_rig
+from dpend.rig import Rig, single_rig
 from dpend.state import as_equilibrium, deviation
 from dpend.symbolic import energy_function, sample_function, substep_function
 
@@ -144,9 +145,7 @@ class NMPC:
         max_iterations: int = 20,
         solver: Plugin = "auto",
     ) -> None:
-        rig = as_rig(rig)
-        if rig.n is not None:
-            raise ValueError(f"NMPC plans for one plant; got a rig of {rig.n} rows.")
+        rig = single_rig(rig, "NMPC")
         if cost not in ("quadratic", "energy"):
             raise ValueError(f'cost must be "quadratic" or "energy"; got {cost!r}.')
         if solver not in ("auto", "fatrop", "ipopt"):
@@ -165,9 +164,7 @@ class NMPC:
             raise ValueError(
                 f"margin must be greater than 0 and less than the track's limit of {limit:g} m; got {margin!r}."
             )
-        if isinstance(max_iterations, bool) or not isinstance(max_iterations, int) or max_iterations < 1:
-            raise ValueError(f"max_iterations must be a whole number, at least 1; got {max_iterations!r}.")
-        self.max_iterations = max_iterations
+        self.max_iterations = checked_whole("max_iterations", max_iterations)
         self.setpoint = setpoint
         self.position(0.0)
         if horizon is None:
@@ -236,12 +233,7 @@ class NMPC:
 
 
 def _checked(name: str, value: object, least: float, most: float) -> float:
-    if (
-        not isinstance(value, int | float | np.integer | np.floating)
-        or isinstance(value, bool)
-        or not least - 1e-12 <= value <= most + 1e-12
-        or value == math.inf
-    ):
+    if not (is_finite(value) and least - 1e-12 <= value <= most + 1e-12):
         raise ValueError(f"{name} must be a finite number from {least:g} to {most:g}; got {value!r}.")
     return float(value)
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from dpend.controller import Act
 from dpend.params import Array, Params
 from dpend.plant import rates
-from dpend.rig import Rig, as_rig
+from dpend.rig import Rig, single_rig
 from dpend.state import nearest_upright
 
 from .lqr import LQR
@@ -187,9 +187,7 @@ class SDRE:
     name = "SDRE"
 
     def __init__(self, rig: Rig | str, Q: npt.ArrayLike | None = None, R: float = 1.0) -> None:
-        self.rig = as_rig(rig)
-        if self.rig.n is not None:
-            raise ValueError(f"SDRE is designed for one plant; got a rig of {self.rig.n} rows.")
+        self.rig = single_rig(rig, "SDRE")
         self.lqr = LQR(self.rig, Q, R)
 
     def __repr__(self) -> str:

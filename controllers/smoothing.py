@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 
+from dpend.arguments import is_finite
 from dpend.controller import Act, Controller, check_controller, is_batched
-from dpend.rig import Rig, as_rig
+from dpend.rig import Rig, single_rig
 
 
 class RateLimit:
@@ -42,9 +43,9 @@ class RateLimit:
     """
 
     def __init__(self, rig: Rig | str, inner: Controller, rate: float) -> None:
-        self.rig = _one_rig(rig, "RateLimit")
+        self.rig = single_rig(rig, "RateLimit")
         check_controller(inner)
-        if not (np.ndim(rate) == 0 and math.isfinite(rate) and rate > 0):
+        if not (is_finite(rate) and rate > 0):
             raise ValueError(f"rate must be finite and greater than 0 N/s; got {rate!r}.")
         self.inner = inner
         self.rate = float(rate)
@@ -109,13 +110,13 @@ class LowPass:
         frequency: float | None = None,
         time_constant: float | None = None,
     ) -> None:
-        self.rig = _one_rig(rig, "LowPass")
+        self.rig = single_rig(rig, "LowPass")
         check_controller(inner)
         given = {"frequency": (frequency, "Hz"), "time_constant": (time_constant, "s")}
         if (frequency is None) == (time_constant is None):
             raise ValueError("Give frequency, in Hz, or time_constant, in s: one of the two.")
         for name, (value, unit) in given.items():
-            if value is not None and not (np.ndim(value) == 0 and math.isfinite(value) and value > 0):
+            if value is not None and not (is_finite(value) and value > 0):
                 raise ValueError(f"{name} must be finite and greater than 0 {unit}; got {value!r}.")
         self.inner = inner
         self.time_constant = float(time_constant) if frequency is None else 1 / (2 * math.pi * frequency)  # type: ignore[arg-type]
@@ -153,13 +154,6 @@ class LowPass:
             return force.copy()
 
         return _with_log_of(inner, act)
-
-
-def _one_rig(rig: Rig | str, what: str) -> Rig:
-    rig = as_rig(rig)
-    if rig.n is not None:
-        raise ValueError(f"{what} is made for one plant; got a rig of {rig.n} rows.")
-    return rig
 
 
 def _name(controller: Controller) -> str:

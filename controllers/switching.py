@@ -8,10 +8,11 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from dpend.arguments import is_finite
 from dpend.controller import Act, Controller, check_controller, is_batched
 from dpend.params import Array
 from dpend.plant import energies
-from dpend.rig import Rig, as_rig
+from dpend.rig import Rig, as_rig, single_rig
 from dpend.state import as_equilibrium, deviation
 from dpend.stepper import Stepper
 
@@ -176,16 +177,14 @@ class Ahead:
         duration: float | None = None,
         within: float = 0.2,
     ) -> None:
-        rig = as_rig(rig)
+        rig = single_rig(rig, "Ahead")
         check_controller(law)
-        if rig.n is not None:
-            raise ValueError(f"Ahead looks ahead on one plant; got a rig of {rig.n} rows.")
         if not is_batched(law):
             raise ValueError(f"{_name(law)} treats one run at a time; looking ahead takes a batched law.")
         if duration is None:
             c = rig.params.coefficients()
             duration = 8 * math.sqrt(float(c.length1 + c.length2) / max(float(rig.params.gravity), 1.0))
-        if not (math.isfinite(duration) and duration > 0 and within > 0):
+        if not (is_finite(duration) and is_finite(within) and duration > 0 and within > 0):
             raise ValueError(f"duration and within must be greater than 0; got {duration!r} s and {within!r} rad.")
         self.rig = rig.replace(
             actuator_lag=0.0, actuator_delay=0, force_noise=0.0, sensor_delay=0, sensor_noise=0.0, resolution=0.0
@@ -244,10 +243,8 @@ class NearEnergy:
     """
 
     def __init__(self, rig: Rig | str, tolerance: float = 0.15, *, track_share: float = 0.8) -> None:
-        rig = as_rig(rig)
-        if rig.n is not None:
-            raise ValueError(f"NearEnergy is of one plant; got a rig of {rig.n} rows.")
-        if not (tolerance > 0 and 0 < track_share <= 1):
+        rig = single_rig(rig, "NearEnergy")
+        if not (is_finite(tolerance) and is_finite(track_share) and tolerance > 0 and 0 < track_share <= 1):
             raise ValueError(
                 f"tolerance must be greater than 0 and track_share above 0 and at most 1; "
                 f"got {tolerance!r} and {track_share!r}."

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from dpend.params import Array
-from dpend.rig import Rig
+from dpend.rig import Rig, ideal_rig, single_rig
 from dpend.state import as_equilibrium, as_states
 from dpend.stepper import Stepper
 
@@ -49,8 +49,7 @@ class Trajectory:
     about: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.rig.n is not None:
-            raise ValueError(f"A trajectory belongs to one plant; got a rig of {self.rig.n} rows.")
+        single_rig(self.rig, "Trajectory")
         u = np.array(self.u, dtype=np.float64)
         if u.ndim != 1 or not len(u) or not np.isfinite(u).all():
             raise ValueError(f"u must be finite forces of shape (N,), at least one; got shape {u.shape}.")
@@ -76,7 +75,7 @@ class Trajectory:
 
     def defect(self) -> float:
         """Give the greatest difference between a state and where the plant goes from the last, held for one sample."""
-        stepper = Stepper(_ideal(self.rig), len(self.u))
+        stepper = Stepper(ideal_rig(self.rig), len(self.u))
         stepper.reset(self.x[:-1])
         return float(np.abs(stepper.step(self.u) - self.x[1:]).max())
 
@@ -118,11 +117,6 @@ class Trajectory:
             raise
         except Exception as error:
             raise ValueError(f"{path} is not a trajectory saved by Trajectory.save, or it is damaged.") from error
-
-
-def _ideal(rig: Rig) -> Rig:
-    """Give the plant with its clock and nothing in between."""
-    return Rig(params=rig.params, sample_time=rig.sample_time, substeps=rig.substeps)
 
 
 def _plain(of_numpy: Any) -> Any:

@@ -22,7 +22,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from importlib import metadata
 from typing import Any, Literal, NamedTuple
@@ -31,24 +31,19 @@ import casadi
 import numpy as np
 import numpy.typing as npt
 
+from dpend.arguments import checked_whole, is_finite
 from dpend.params import Array
 from dpend.provenance import versions
-from dpend.rig import Rig, as_rig
-from dpend.state import EQUILIBRIA, as_equilibrium, as_states, deviation
+from dpend.rig import Rig, single_rig
+from dpend.state import as_equilibrium, as_states, deviation
 from dpend.symbolic import sample_function, substep_function
+from dpend.tasks import STARTS
 
 from .codegen import Plugin, find_compiler, nlp_solver
 from .shooting import Stage, multiple_shooting
 from .trajectory import Trajectory
 
 Objective = Literal["effort", "time"]
-
-STARTS: Mapping[str, Array] = {
-    "hanging": EQUILIBRIA["down-down"],
-    "side": as_states([0.0, math.pi / 2, math.pi / 2, 0.0, 0.0, 0.0])[0],
-    **EQUILIBRIA,
-}
-"""States at rest by name, from which trajectories are asked for; those of :class:`dpend.SwingUp`."""
 
 TOLERANCE = 1e-6
 """Greatest defect of a sample, and greatest excess over a limit, of a trajectory that is given away."""
@@ -186,7 +181,7 @@ def optimize(
     NoTrajectory
         If no guess led to a trajectory.
     """
-    rig = as_rig(rig)
+    rig = single_rig(rig, "optimize")
     _check(rig, objective, duration, smoothing, track_margin, force_margin, starts)
     begin = _state(start)
     for name, state in (("start", begin), ("target", as_equilibrium(target))):
@@ -251,7 +246,7 @@ def _state(start: str | npt.ArrayLike) -> Array:
         return states[0]
     if start not in STARTS:
         raise ValueError(f"start must be one of {', '.join(map(repr, STARTS))}, or a state (6,); got {start!r}.")
-    return STARTS[start]
+    return STARTS[start].copy()
 
 
 def _check(
@@ -263,25 +258,22 @@ def _check(
     force_margin: float,
     starts: int,
 ) -> None:
-    if rig.n is not None:
-        raise ValueError(f"A trajectory is planned for one plant; got a rig of {rig.n} rows.")
     if objective not in ("effort", "time"):
         raise ValueError(f'objective must be "effort" or "time"; got {objective!r}.')
-    samples = duration / rig.sample_time
-    if not (math.isfinite(duration) and duration > 0 and abs(samples - round(samples)) < 1e-6 and round(samples) > 7):
+    samples = duration / rig.sample_time if is_finite(duration) else 0.0
+    if abs(samples - round(samples)) > 1e-6 or round(samples) < 8:
         raise ValueError(
             f"duration must be a whole number of samples of {rig.sample_time:g} s, at least 8; got {duration!r} s."
         )
-    if not (math.isfinite(smoothing) and smoothing >= 0):
+    if not (is_finite(smoothing) and smoothing >= 0):
         raise ValueError(f"smoothing must be finite and at least 0 s; got {smoothing!r}.")
     for name, margin, limit, unit in (
         ("track_margin", track_margin, rig.track_limit, "m"),
         ("force_margin", force_margin, rig.force_limit, "N"),
     ):
-        if not 0 <= margin < limit:
+        if not (is_finite(margin) and 0 <= margin < limit):
             raise ValueError(f"{name} must be at least 0 and less than the limit of {limit:g} {unit}; got {margin!r}.")
-    if isinstance(starts, bool) or not isinstance(starts, int) or starts < 1:
-        raise ValueError(f"starts must be a whole number, at least 1; got {starts!r}.")
+    checked_whole("starts", starts)
 
 
 def _ends(begin: Array, target: str | npt.ArrayLike, guess: Trajectory | None) -> list[Array]:

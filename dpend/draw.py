@@ -23,9 +23,10 @@ from matplotlib.patches import FancyArrow, Rectangle
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
+from .arguments import is_finite
 from .params import Array
 from .plant import positions
-from .rig import Rig
+from .rig import Rig, single_rig
 from .run import Run
 from .state import as_states
 
@@ -68,8 +69,7 @@ class Picture:
     """
 
     def __init__(self, rig: Rig) -> None:
-        if rig.n is not None:
-            raise ValueError(f"A picture shows one rig; got a rig of {rig.n} rows. Take one of them with rig.rows(i).")
+        single_rig(rig, "A picture")
         self._params = params = rig.params
         reach = float(params.length1 + params.length2)
         limit = float(rig.force_limit)
@@ -312,8 +312,7 @@ def draw_strobe(axes: Axes, x: npt.ArrayLike, rig: Rig, *, pictures: int = 16) -
     ValueError
         If a state is not finite, the rig describes several rows, or fewer than 2 pictures are asked for.
     """
-    if rig.n is not None:
-        raise ValueError(f"A picture shows one rig; got a rig of {rig.n} rows. Take one of them with rig.rows(i).")
+    single_rig(rig, "A picture")
     if pictures < 2:
         raise ValueError(f"pictures must be at least 2; got {pictures!r}.")
     states = as_states(x)
@@ -369,7 +368,7 @@ def animate_run(run: Run, path: str | Path, *, fps: float = 25, speed: float = 1
     if suffix not in (".gif", ".mp4"):
         raise ValueError(f"The suffix chooses the format: expected a path ending in .gif or .mp4; got {str(path)!r}.")
     for name, number, unit in (("fps", fps, "pictures per second"), ("speed", speed, "seconds of the run per second")):
-        if not (math.isfinite(number) and number > 0):
+        if not (is_finite(number) and number > 0):
             raise ValueError(f"{name} must be finite and greater than 0, in {unit}; got {number!r}.")
     ffmpeg = _find_ffmpeg() if suffix == ".mp4" else ""
     if suffix == ".gif":

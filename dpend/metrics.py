@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import is_finite
 from .params import Array
 
 UNITS: Mapping[str, str] = {
@@ -138,7 +139,7 @@ def smoothness_metrics(
     equal steps) and the whole run as one window; ``std_step``: the smoothness of RealAIGym's double pendulum.
     """
     for name, value, unit in (("lag", lag, "s"), ("cutoff", cutoff, "Hz"), ("sample_time", sample_time, "s")):
-        if not (np.ndim(value) == 0 and math.isfinite(value) and value > 0):
+        if not (is_finite(value) and value > 0):
             raise ValueError(f"{name} must be a finite number greater than 0 {unit}; got {value!r}.")
     u, _, scale = _checked(u, force_limit)
     steps = np.isfinite(u).sum(axis=1)

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .arguments import is_finite
 from .params import Array
-from .rig import Rig
+from .rig import Rig, single_rig
 from .state import NAMES
 from .stepper import Stepper
 from .suggest import suggestion
@@ -55,12 +56,11 @@ def read_recording(
     """
     per_angle = _radians(angle_unit)
     for name, unit in (("position_unit", position_unit), ("force_unit", force_unit)):
-        if not (np.ndim(unit) == 0 and math.isfinite(unit) and unit != 0):
+        if not (is_finite(unit) and unit != 0):
             raise ValueError(f"{name} must be a finite number other than 0, in SI units per unit; got {unit!r}.")
     if zero not in ("up", "down"):
         raise ValueError(f'zero must be "up" or "down", where the angles are counted from; got {zero!r}.')
-    if rig.n is not None:
-        raise ValueError(f"One recording has one rig; got a rig of {rig.n} rows.")
+    single_rig(rig, "A recording")
     table = _read_table(Path(path), _chosen(columns))
     times = table["t"]
     _check_clock(path, times, rig.sample_time, tolerance)

@@ -384,3 +384,33 @@ def as_rig(rig_or_name: Rig | str) -> Rig:
 def rigs() -> dict[str, str]:
     """List the preset rigs: what each one is, and its source, by name."""
     return {name: " ".join((build.__doc__ or "").split()) for name, build in PRESETS.items()}
+
+
+def single_rig(rig_or_name: Rig | str, what: str) -> Rig:
+    """Give the rig, or the preset of that name, for something that takes one plant.
+
+    Parameters
+    ----------
+    rig_or_name : Rig or str
+        Either.
+    what : str
+        What takes it.
+
+    Returns
+    -------
+    Rig
+
+    Raises
+    ------
+    TypeError, ValueError
+        As :func:`as_rig`; and if the rig describes several rows.
+    """
+    rig = as_rig(rig_or_name)
+    if rig.n is not None:
+        raise ValueError(f"{what} takes one plant; got a rig of {rig.n} rows. Take one of them with rig.rows(i).")
+    return rig
+
+
+def ideal_rig(rig: Rig) -> Rig:
+    """Give the plant with its clock and nothing in between: no limits, lag, delays, noise or rounding."""
+    return Rig(params=rig.params, sample_time=rig.sample_time, substeps=rig.substeps)

@@ -16,24 +16,25 @@ _energies = equations.make_energies(casadi.cos)
 
 
 def rates_function(params: Params) -> Any:
-    r"""Give :math:`(x, f) \mapsto \dot x` as a CasADi function.
+    r"""Give :math:`(x, f) \mapsto \dot x`, the equations of motion, as a CasADi function.
 
     Parameters
     ----------
     params : Params
-        The plant; one, not a batch.
+        One plant, no arrays.
 
     Returns
     -------
     casadi.Function
-        Of the state (6) and the generalised forces (3).
+        From the state ``(6,)`` and the generalised forces on cart (N) and links (N m), ``(3,)``, to the state's rate
+        ``(6,)``; as :func:`dpend.rates`.
     """
     x, f = casadi.SX.sym("x", 6), casadi.SX.sym("f", 3)
     return casadi.Function("rates", [x, f], [casadi.vertcat(*_rates(_split(x), f, params.coefficients()))])
 
 
 def sample_function(rig: Rig, *, free_step: bool = False) -> Any:
-    r"""Give :math:`(x_k, u_k) \mapsto x_{k+1}`, one sample under a held force, as a CasADi function.
+    r"""Give :math:`(x_k, u_k) \mapsto x_{k+1} = \Phi^n(x_k, u_k)`, a sample of n substeps, as a CasADi function.
 
     Parameters
     ----------
@@ -45,7 +46,8 @@ def sample_function(rig: Rig, *, free_step: bool = False) -> Any:
     Returns
     -------
     casadi.Function
-        Of the state (6) and the force on the cart (1), and with ``free_step`` of the sample time in s (1).
+        From the state ``(6,)``, the force on the cart in N, held, and with ``free_step`` the sample time in s, to the
+        state ``(6,)`` afterwards.
     """
     start, u, h = casadi.SX.sym("x", 6), casadi.SX.sym("u"), casadi.SX.sym("h")
     time = [h] if free_step else []
@@ -57,7 +59,9 @@ def sample_function(rig: Rig, *, free_step: bool = False) -> Any:
 
 
 def substep_function(rig: Rig, *, free_step: bool = False) -> Any:
-    r"""Give one of the equal Runge-Kutta steps that make a sample under a held force, as a CasADi function.
+    r"""Give :math:`\Phi(x, u)`, one classical Runge-Kutta step of length :math:`T/n`, as a CasADi function.
+
+    A sample is :math:`n` of them; optimal control that is built of steps rather than samples has smaller derivatives.
 
     Parameters
     ----------
@@ -69,7 +73,8 @@ def substep_function(rig: Rig, *, free_step: bool = False) -> Any:
     Returns
     -------
     casadi.Function
-        Of the state (6) and the force on the cart (1), and with ``free_step`` of the sample time in s (1).
+        From the state ``(6,)``, the force on the cart in N, held, and with ``free_step`` the sample time in s, to the
+        state ``(6,)`` afterwards.
     """
     x, u, h = casadi.SX.sym("x", 6), casadi.SX.sym("u"), casadi.SX.sym("h")
     time = [h] if free_step else []
@@ -79,17 +84,18 @@ def substep_function(rig: Rig, *, free_step: bool = False) -> Any:
 
 
 def energy_function(params: Params) -> Any:
-    r"""Give :math:`x \mapsto T + V`, the energy in J, as a CasADi function.
+    r"""Give :math:`x \mapsto E = E_\text{kin} + E_\text{pot}`, J, as a CasADi function.
 
     Parameters
     ----------
     params : Params
-        The plant; one, not a batch.
+        One plant, no arrays.
 
     Returns
     -------
     casadi.Function
-        Of the state (6).
+        From the state ``(6,)`` to the energy, zero at rest with both centres of mass at the height of the cart's joint;
+        as :func:`dpend.energies`.
     """
     x = casadi.SX.sym("x", 6)
     kinetic, potential = _energies(_split(x), params.coefficients())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from types import ModuleType
@@ -11,6 +12,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import is_finite
 from .params import Array
 from .rig import Rig
 from .state import EQUILIBRIA, as_equilibrium
@@ -104,15 +106,15 @@ class ReportCost:
     failure_cost: float = 0.0
 
     def __post_init__(self) -> None:
-        weights = tuple(float(weight) for weight in self.state_weights)
-        if len(weights) != 3 or not all(math.isfinite(weight) and weight >= 0 for weight in weights):
+        weights = tuple(self.state_weights)
+        if len(weights) != 3 or not all(is_finite(weight) and weight >= 0 for weight in weights):
             raise ValueError(
                 f"state_weights must be three finite numbers, at least 0, for |pos|, |th1| and |th2|; "
                 f"got {self.state_weights!r}."
             )
-        if not (math.isfinite(self.failure_cost) and self.failure_cost >= 0):
+        if not (is_finite(self.failure_cost) and self.failure_cost >= 0):
             raise ValueError(f"failure_cost must be finite and at least 0; got {self.failure_cost!r}.")
-        object.__setattr__(self, "state_weights", weights)
+        object.__setattr__(self, "state_weights", tuple(map(float, weights)))
 
     def cost(self, x: Array, codes: Codes) -> Array:
         """Give the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
@@ -200,16 +202,18 @@ def check_lam(lam: float) -> None:
     ValueError
         Unless :math:`0 < \lambda \le \pi/2`.
     """
-    if not isinstance(lam, int | float | np.floating) or not 0 < lam <= math.pi / 2:
+    if not (is_finite(lam) and 0 < lam <= math.pi / 2):
         raise ValueError(
             f"lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; got {lam!r}."
         )
 
 
-_STARTS = {"hanging": EQUILIBRIA["down-down"][1:3], "side": (math.pi / 2, math.pi / 2)} | {
-    name: x[1:3] for name, x in EQUILIBRIA.items()
+STARTS: Mapping[str, Array] = {
+    "hanging": EQUILIBRIA["down-down"],
+    "side": np.array([0.0, math.pi / 2, math.pi / 2, 0.0, 0.0, 0.0]),
+    **EQUILIBRIA,
 }
-"""Angles of the starts at rest."""
+"""States at rest ``(6,)`` by name, from which a swing-up may start."""
 
 
 @suggests
@@ -255,19 +259,19 @@ class SwingUp(ReportCost):
     def __post_init__(self) -> None:
         super().__post_init__()
         _checked_steps(self.steps)
-        if not isinstance(self.start, str) or (self.start != "anywhere" and self.start not in _STARTS):
-            known = (*_STARTS, "anywhere")
+        if not isinstance(self.start, str) or (self.start != "anywhere" and self.start not in STARTS):
+            known = (*STARTS, "anywhere")
             raise ValueError(f"start must be one of {', '.join(map(repr, known))}; got {self.start!r}.")
         if not isinstance(self.target, str):
             raise ValueError(
                 f"target must be the name of an equilibrium, {', '.join(EQUILIBRIA)}; got {self.target!r}."
             )
         as_equilibrium(self.target)
-        if not 0 <= self.spread <= math.pi:
+        if not (is_finite(self.spread) and 0 <= self.spread <= math.pi):
             raise ValueError(f"spread must be within 0 and pi rad; got {self.spread!r}.")
-        if not (math.isfinite(self.hold) and self.hold > 0):
+        if not (is_finite(self.hold) and self.hold > 0):
             raise ValueError(f"hold must be finite and greater than 0 s; got {self.hold!r}.")
-        if not 0 < self.upright_angle < math.pi:
+        if not (is_finite(self.upright_angle) and 0 < self.upright_angle < math.pi):
             raise ValueError(f"upright_angle must be between 0 and pi rad; got {self.upright_angle!r}.")
 
     @property
@@ -285,7 +289,7 @@ class SwingUp(ReportCost):
             x[:, 1:3] = rng.uniform(-np.pi, np.pi, (n, 2))
             return x
         x = np.zeros((n, 6))
-        x[:, 1:3] = _STARTS[self.start] + self.spread * rng.uniform(-1.0, 1.0, (n, 2))
+        x[:, 1:3] = STARTS[self.start][1:3] + self.spread * rng.uniform(-1.0, 1.0, (n, 2))
         return x
 
     def ended(self, x: Array, rig: Rig) -> Codes:

@@ -12,6 +12,7 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from .arguments import checked_whole
 from .env import (
     action_space,
     check_options,
@@ -135,13 +136,12 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
     ) -> None:
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise ValueError(f"num_envs must be a whole number, at least 1; got {num_envs!r}.")
+        num_envs = checked_whole("num_envs", num_envs)
         self.task = checked_task(task)
         self.rig = as_rig(rig)
         if self.rig.n not in (None, num_envs):
             raise ValueError(f"The rig describes {self.rig.n} rows; expected num_envs, which is {num_envs}.")
-        self.num_envs = int(num_envs)
+        self.num_envs = num_envs
         self._forces = checked_forces(forces, self.rig)
         self.single_action_space = action_space(self._forces)
         self.action_space = batch_space(self.single_action_space, self.num_envs)

@@ -22,11 +22,12 @@ import numpy as np
 import numpy.typing as npt
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
+from dpend.arguments import checked_whole
 from dpend.controller import Act
 from dpend.kernels import compiled, inline, sample, wrap_angle
 from dpend.params import Array, Coefficients
 from dpend.provenance import versions
-from dpend.rig import Rig
+from dpend.rig import Rig, single_rig
 from dpend.suggest import suggests
 from dpend.tasks import Balance
 
@@ -527,8 +528,7 @@ def _check(learner: GaussianQAC) -> None:
         raise TypeError(f"rig must be a dpend.Rig, such as dpend.rig('gustafsson2016'); got {rig!r}.")
     if not isinstance(learner.task, Balance):
         raise TypeError(f"task must be a dpend.Balance; got {learner.task!r}.")
-    if rig.n is not None:
-        raise ValueError(f"GaussianQAC trains on one plant; got a rig of {rig.n} rows.")
+    single_rig(rig, "GaussianQAC")
     if not rig.ideal:
         raise ValueError(
             "GaussianQAC trains on ideal rigs; got one with lag, delay, noise or rounding. "
@@ -541,9 +541,7 @@ def _check(learner: GaussianQAC) -> None:
             "With deviations the actor has the six states and begins at zero: leave indicators and spread."
         )
     for name in ("streak", "max_episodes"):
-        value: Any = getattr(learner, name)
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise ValueError(f"{name} must be a whole number, at least 1; got {value!r}.")
+        checked_whole(name, getattr(learner, name))
     for name, good, wanted in (
         ("alpha", 0 < learner.alpha < math.inf, "finite and greater than 0"),
         ("beta", 0 < learner.beta < math.inf, "finite and greater than 0"),

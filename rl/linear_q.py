@@ -26,7 +26,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from dpend.kernels import compiled, inline, sample, wrap_angle
 from dpend.params import Array, Coefficients
 from dpend.provenance import versions
-from dpend.rig import Rig
+from dpend.rig import Rig, single_rig
 from dpend.simulate import simulate_many
 from dpend.suggest import suggests
 from dpend.tasks import Balance, SwingUp, check_lam
@@ -345,15 +345,14 @@ def _check(learner: LinearQLearning) -> None:
             raise ValueError("Acceptance tests are of balancing; leave acceptance empty for a swing-up.")
     for name in ("streak", "acceptance_episodes", "max_episodes", "restart_after"):
         value = getattr(learner, name)
-        if not (isinstance(value, int) or (name == "restart_after" and value is None)):
+        if not (isinstance(value, int | np.integer) or (name == "restart_after" and value is None)):
             raise TypeError(f"{name} must be a whole number; got {value!r}.")
     for test in learner.acceptance:
         lam, share = test
         check_lam(lam)
         if not 0 <= share <= 1:
             raise ValueError(f"acceptance names pairs (lambda, share) with a share within 0 and 1; got {test!r}.")
-    if rig.n is not None:
-        raise ValueError(f"LinearQLearning trains on one plant; got a rig of {rig.n} rows.")
+    single_rig(rig, "LinearQLearning")
     if not rig.ideal:
         raise ValueError(
             "LinearQLearning trains on ideal rigs; got one with lag, delay, noise or rounding. "

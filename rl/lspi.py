@@ -19,16 +19,17 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
+from dpend.arguments import checked_whole
 from dpend.kernels import compiled, sample
 from dpend.params import Array, Coefficients
 from dpend.provenance import versions
-from dpend.rig import Rig
+from dpend.rig import Rig, single_rig
 from dpend.suggest import suggests
 
 from .features import QUADRATIC, quadratic_features, quadratic_form
@@ -418,17 +419,14 @@ def _check(learner: LSPI | QuadraticQLearning, whole: tuple[str, ...]) -> None:
     kind, rig = type(learner).__name__, learner.rig
     if not isinstance(rig, Rig):
         raise TypeError(f"rig must be a dpend.Rig, such as dpend.rig('gustafsson2016'); got {rig!r}.")
-    if rig.n is not None:
-        raise ValueError(f"{kind} trains on one plant; got a rig of {rig.n} rows.")
+    single_rig(rig, kind)
     if not rig.ideal:
         raise ValueError(
             f"{kind} trains on ideal rigs; got one with lag, delay, noise or rounding. "
             "Train on the ideal rig, then simulate the policy on this one."
         )
     for name in (*whole, "episode_steps"):
-        value: Any = getattr(learner, name)
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise ValueError(f"{name} must be a whole number, at least 1; got {value!r}.")
+        checked_whole(name, getattr(learner, name))
     weights = learner.state_weights
     if len(weights) != 6 or not all(math.isfinite(weight) and weight >= 0 for weight in weights):
         raise ValueError(f"state_weights must be 6 finite numbers, at least 0; got {weights!r}.")

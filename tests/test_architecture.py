@@ -137,7 +137,7 @@ def inside(name: str) -> set[str]:
         ("plant", {"equations", "params"}),
         ("linear", {"params", "plant"}),
         ("rig", {"params", "suggest"}),
-        ("tasks", {"kernels", "params", "rig", "state", "suggest"}),
+        ("tasks", {"arguments", "kernels", "params", "rig", "state", "suggest"}),
         ("stepper", {"kernels", "params", "rig", "state"}),
         ("controller", {"params"}),
     ],

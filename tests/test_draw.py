@@ -209,7 +209,7 @@ def test_time_and_force_are_written_above_the_picture() -> None:
 
 
 def test_a_picture_refuses_a_batch_of_rigs() -> None:
-    message = "A picture shows one rig; got a rig of 3 rows. Take one of them with rig.rows(i)."
+    message = "A picture takes one plant; got a rig of 3 rows. Take one of them with rig.rows(i)."
     with pytest.raises(ValueError, match=whole(message)):
         Picture(RIG.replace(mass1=[0.4, 0.5, 0.6]))
 
@@ -365,7 +365,7 @@ def test_a_strobe_picture_refuses_a_single_picture_and_a_batch_of_rigs(run: Run)
     axes = Figure().subplots()
     with pytest.raises(ValueError, match=whole("pictures must be at least 2; got 1.")):
         draw_strobe(axes, run.x, RIG, pictures=1)
-    message = "A picture shows one rig; got a rig of 2 rows. Take one of them with rig.rows(i)."
+    message = "A picture takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i)."
     with pytest.raises(ValueError, match=whole(message)):
         draw_strobe(axes, run.x, RIG.replace(mass1=np.ones(2)))
 

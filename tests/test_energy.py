@@ -177,7 +177,10 @@ def test_wrong_use_is_refused(kind: type[EnergySwingUp] | type[EnergyPump]) -> N
         kind("gustafsson2016", k_x=0)
     with pytest.raises(ValueError, match=whole("kick must be a finite force in N; got inf.")):
         kind("gustafsson2016", kick=np.inf)
-    with pytest.raises(ValueError, match=whole(f"{kind.__name__} is designed for one plant; got a rig of 2 rows.")):
+    with pytest.raises(
+        ValueError,
+        match=whole(f"{kind.__name__} takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i)."),
+    ):
         kind(endless(mass1=np.array([0.5, 0.6])))
     with pytest.raises(
         ValueError, match=whole(f"{kind.__name__} lifts the links against gravity; got a rig without, gravity=0.0.")

@@ -236,5 +236,8 @@ def test_wrong_use_is_refused() -> None:
     with pytest.raises(ValueError, match=whole("measurement_noise must be greater than 0; got (0, 1, 1).")):
         UKF(RIG, measurement_noise=(0, 1, 1))
     for kind in (EKF, UKF, Predictor):
-        with pytest.raises(ValueError, match=whole(f"{kind.__name__} believes in one plant; got a rig of 2 rows.")):
+        with pytest.raises(
+            ValueError,
+            match=whole(f"{kind.__name__} takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i)."),
+        ):
             kind(endless(mass1=np.array([0.5, 0.6])))

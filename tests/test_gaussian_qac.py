@@ -209,7 +209,10 @@ def test_the_mean_policy_is_the_policy_without_noise():
             "GaussianQAC trains on ideal rigs; got one with lag, delay, noise or rounding. "
             "Train on the ideal rig, then simulate the policy on this one.",
         ),
-        ({"rig": RIG.replace(mass1=[0.5, 0.6])}, "GaussianQAC trains on one plant; got a rig of 2 rows."),
+        (
+            {"rig": RIG.replace(mass1=[0.5, 0.6])},
+            "GaussianQAC takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).",
+        ),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(changes, message):

@@ -292,7 +292,9 @@ def test_settings_out_of_range_are_refused(changes: dict[str, Any], message: str
 
 
 def test_several_plants_and_no_gravity_are_refused() -> None:
-    with pytest.raises(ValueError, match=whole("iLQR plans for one plant; got a rig of 2 rows.")):
+    with pytest.raises(
+        ValueError, match=whole("iLQR takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).")
+    ):
         ILQRMPC(RIG.replace(mass1=np.array([0.4, 0.5])))
     message = "Without gravity there is no scale of time and force: give horizon, Q and R."
     with pytest.raises(ValueError, match=whole(message)):

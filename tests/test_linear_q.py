@@ -177,7 +177,7 @@ def test_features_of_scale_zero_keep_weight_zero():
         ),
         (
             {"rig": RIG.replace(mass1=[0.5, 0.6])},
-            "LinearQLearning trains on one plant; got a rig of 2 rows.",
+            "LinearQLearning takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).",
         ),
     ],
 )

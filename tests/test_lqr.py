@@ -148,7 +148,10 @@ def test_a_continuous_gain_too_high_for_the_sample_time_is_warned_of(name: str) 
             lambda rig: LQR(rig, design="analogue"),  # pyright: ignore[reportArgumentType]
             'design must be "discrete" or "continuous"; got \'analogue\'.',
         ),
-        (lambda rig: LQR(rig.replace(mass1=[0.4, 0.5])), "LQR is designed for one plant; got a rig of 2 rows."),
+        (
+            lambda rig: LQR(rig.replace(mass1=[0.4, 0.5])),
+            "LQR takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).",
+        ),
         (lambda rig: BangBang(Zero(), 0.0), "force must be finite and greater than 0 N; got 0.0."),
         (lambda rig: BangBang(Zero(), np.inf), "force must be finite and greater than 0 N; got inf."),
         (lambda rig: Constant(np.nan), "force must be finite, in N; got nan."),

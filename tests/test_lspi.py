@@ -207,7 +207,7 @@ def test_a_gain_acts_alike_after_whole_turns():
         (
             QuadraticQLearning,
             {"rig": RIG.replace(mass1=[0.5, 0.6])},
-            "QuadraticQLearning trains on one plant; got a rig of 2 rows.",
+            "QuadraticQLearning takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).",
         ),
     ],
 )

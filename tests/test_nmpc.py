@@ -260,7 +260,9 @@ def test_wrong_settings_are_refused(settings: dict[str, Any], message: str) -> N
 
 
 def test_several_plants_or_runs_at_once_are_refused() -> None:
-    with pytest.raises(ValueError, match=whole("NMPC plans for one plant; got a rig of 2 rows.")):
+    with pytest.raises(
+        ValueError, match=whole("NMPC takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).")
+    ):
         NMPC(RIG.replace(mass1=np.array([0.5, 0.6])))
     with pytest.raises(ValueError, match=whole("NMPC treats one run at a time; got n = 2.")):
         NMPC(RIG).start(2, np.random.default_rng(0))

@@ -123,7 +123,9 @@ def test_on_bogdanovs_plant_it_saves_starts_that_the_regulator_loses() -> None:
 
 
 def test_wrong_use_is_refused() -> None:
-    with pytest.raises(ValueError, match=whole("SDRE is designed for one plant; got a rig of 2 rows.")):
+    with pytest.raises(
+        ValueError, match=whole("SDRE takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).")
+    ):
         SDRE(endless(mass1=np.array([0.5, 0.6])))
     with pytest.raises(ValueError, match=whole("Q must be finite and symmetric.")):
         SDRE("gustafsson2016", np.full(6, np.nan))

@@ -194,7 +194,7 @@ def test_one_run_at_a_time_stays_one_at_a_time_and_what_is_told_is_kept() -> Non
         ),
         (
             lambda: RateLimit(RIG.replace(mass1=[0.5, 0.6]), LQR(RIG), 1.0),
-            "RateLimit is made for one plant; got a rig of 2 rows.",
+            "RateLimit takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).",
         ),
     ],
 )

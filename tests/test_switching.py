@@ -160,9 +160,13 @@ def test_wrong_use_is_refused() -> None:
     with pytest.raises(ValueError, match=whole("duration and within must be greater than 0; got -1.0 s and 0.2 rad.")):
         Ahead(RIG, LQR(RIG), duration=-1.0)
     two = endless(mass1=np.array([0.5, 0.6]))
-    with pytest.raises(ValueError, match=whole("Ahead looks ahead on one plant; got a rig of 2 rows.")):
+    with pytest.raises(
+        ValueError, match=whole("Ahead takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).")
+    ):
         Ahead(two, LQR(RIG))
-    with pytest.raises(ValueError, match=whole("NearEnergy is of one plant; got a rig of 2 rows.")):
+    with pytest.raises(
+        ValueError, match=whole("NearEnergy takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).")
+    ):
         NearEnergy(two)
     with pytest.raises(
         ValueError,

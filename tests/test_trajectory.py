@@ -79,7 +79,10 @@ class _Push:
             "A state has six numbers (pos, th1, th2, vel, om1, om2): expected an array of shape (51, 6) or (6,); "
             "got shape (50, 6).",
         ),
-        ({"rig": RIG.replace(mass1=np.ones(3))}, "A trajectory belongs to one plant; got a rig of 3 rows."),
+        (
+            {"rig": RIG.replace(mass1=np.ones(3))},
+            "Trajectory takes one plant; got a rig of 3 rows. Take one of them with rig.rows(i).",
+        ),
     ],
 )
 def test_a_trajectory_that_does_not_fit_together_is_refused(changes: dict[str, Any], message: str) -> None:

@@ -234,7 +234,7 @@ def test_a_solution_that_does_not_hold_is_found_out() -> None:
         (lambda: optimize(RIG, solver="snopt"), 'solver must be "auto", "fatrop" or "ipopt"; got \'snopt\'.'),  # type: ignore[arg-type]
         (
             lambda: optimize(RIG.replace(mass1=np.array([0.5, 0.6]))),
-            "A trajectory is planned for one plant; got a rig of 2 rows.",
+            "optimize takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).",
         ),
     ],
 )

@@ -1,0 +1,38 @@
+"""Numbers that callers hand in, told from what only looks like one."""
+
+from __future__ import annotations
+
+from typing import TypeGuard
+
+import numpy as np
+
+
+def is_finite(value: object) -> TypeGuard[float]:
+    """Tell whether a value is one finite real number; words, truth values and arrays of several are none."""
+    return np.ndim(value) == 0 and np.asarray(value).dtype.kind in "iuf" and bool(np.isfinite(value))  # type: ignore[call-overload,arg-type]
+
+
+def checked_whole(name: str, value: object, least: int = 1) -> int:
+    """Give a whole number, Python's or numpy's, as an integer.
+
+    Parameters
+    ----------
+    name : str
+        What the caller calls it.
+    value : int
+        What came.
+    least : int
+        The least that makes sense.
+
+    Returns
+    -------
+    int
+
+    Raises
+    ------
+    ValueError
+        If it is something else, or less.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise ValueError(f"{name} must be a whole number, at least {least}; got {value!r}.")
+    return int(value)
