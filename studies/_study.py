@@ -59,10 +59,20 @@ class Options:
     """A small version that ends in seconds and shows that everything works; its figures mean little."""
 
     def __post_init__(self) -> None:
-        if self.workers < 1:
-            raise ValueError(f"--workers must be at least 1; got {self.workers}.")
-        if self.seed < 0:
-            raise ValueError(f"--seed must be at least 0; got {self.seed}.")
+        self.check_least(1, "workers")
+        self.check_least(0, "seed")
+
+    def check_least(self, least: int, *names: str) -> None:
+        """Refuse numbers that are too small.
+
+        Raises
+        ------
+        ValueError
+            If an option of one of these names is less.
+        """
+        for name in names:
+            if getattr(self, name) < least:
+                raise ValueError(f"--{name.replace('_', '-')} must be at least {least}; got {getattr(self, name)}.")
 
 
 class UnwritableError(Exception):

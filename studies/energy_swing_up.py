@@ -78,9 +78,7 @@ class Options(_study.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("runs", "fine_runs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least 1; got {getattr(self, name)}.")
+        self.check_least(1, "runs", "fine_runs")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -70,9 +70,7 @@ class Options(_study.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("short", "short_episodes", "long_episodes", "trainings", "ablated", "episodes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least 1; got {getattr(self, name)}.")
+        self.check_least(1, "short", "short_episodes", "long_episodes", "trainings", "ablated", "episodes")
 
     @property
     def small(self) -> Options:

@@ -116,10 +116,8 @@ class Options(_study.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.trainings < 1:
-            raise ValueError(f"--trainings must be at least 1; got {self.trainings}.")
-        if self.starts < 2:
-            raise ValueError(f"--starts must be at least 2; got {self.starts}.")
+        self.check_least(1, "trainings")
+        self.check_least(2, "starts")
 
 
 @dataclass(frozen=True, kw_only=True)

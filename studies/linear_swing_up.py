@@ -72,9 +72,7 @@ class Options(_study.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("trainings", "training_episodes", "candidates", "generations", "strategies"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least 1; got {getattr(self, name)}.")
+        self.check_least(1, "trainings", "training_episodes", "candidates", "generations", "strategies")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -53,9 +53,7 @@ class Options(_study.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("trainings", "max_episodes", "episodes"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least 1; got {getattr(self, name)}.")
+        self.check_least(1, "trainings", "max_episodes", "episodes")
 
     @property
     def sizes(self) -> tuple[int, int]:

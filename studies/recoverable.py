@@ -107,11 +107,8 @@ class Options(_entrants.Options):
             check_lam(lam)
         if len(set(self.lam)) < len(self.lam):
             raise ValueError(f"--lam names a spread twice; got {self.lam}.")
-        if self.starts < 1:
-            raise ValueError(f"--starts must be at least 1; got {self.starts}.")
-        for name in ("grid", "planned", "guesses"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"--{name} must be at least 0; got {getattr(self, name)}.")
+        self.check_least(1, "starts")
+        self.check_least(0, "grid", "planned", "guesses")
         if not 0 < self.extent < math.pi / 2:
             raise ValueError(f"--extent must be between 0 and pi/2 rad; got {self.extent}.")
 

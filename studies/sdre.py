@@ -46,8 +46,7 @@ class Options(_study.Options):
         super().__post_init__()
         for lam in self.lam:
             dpend.Balance(lam=lam)
-        if self.episodes < 1:
-            raise ValueError(f"--episodes must be at least 1; got {self.episodes}.")
+        self.check_least(1, "episodes")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -85,9 +85,7 @@ class Options(_entrants.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("runs", "transfer_runs", "preset_runs"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least 1; got {getattr(self, name)}.")
+        self.check_least(1, "runs", "transfer_runs", "preset_runs")
 
     def count(self, case: Case) -> int:
         """Give the number of runs of a case; one where it must be quick."""
