@@ -7,7 +7,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
-from scipy.optimize import isotonic_regression
 from scipy.special import logit
 
 from dpend.params import Array
@@ -123,24 +122,53 @@ def crossing(
     n = len(rows)
     distinct, counts = np.unique(rows, axis=0, return_counts=True)  # few, however many starts there are
     drawn = np.random.default_rng(seed).multinomial(n, counts / n, size=resamples) / n
-    found = _crossed(points, rows.mean(axis=0), share, n)
-    levels_drawn = np.array([_crossed(points, curve, share, n) for curve in drawn @ distinct])
+    found = float(_crossed(points, rows.mean(axis=0, keepdims=True), share, n)[0])
     tail = stats.norm.cdf(stats.t.ppf(0.025, n - 1) * np.sqrt(n / (n - 1)))
-    low, high = np.quantile(levels_drawn, [tail, 1 - tail], method="inverted_cdf")
+    low, high = np.quantile(_crossed(points, drawn @ distinct, share, n), [tail, 1 - tail], method="inverted_cdf")
     return Crossing(found, min(float(low), found), max(float(high), found))
 
 
-def _crossed(levels: Array, curve: Array, share: float, n: int) -> float:
-    """Give where a curve, made to fall, crosses a share; half a success and half a failure keep its logits finite."""
-    falling = isotonic_regression(curve, increasing=False).x
-    if falling[0] < share:
-        return -np.inf
-    if falling[-1] >= share:
-        return np.inf
-    after = int(np.argmax(falling < share))
-    above, below, wanted = logit((n * np.array([falling[after - 1], falling[after], share]) + 0.5) / (n + 1))
-    part = (above - wanted) / (above - below)
-    return float(levels[after - 1] + part * (levels[after] - levels[after - 1]))
+def _crossed(levels: Array, curves: Array, share: float, n: int) -> Array:
+    """Give where each curve, made to fall, crosses a share; half a success and half a failure keep its logits finite."""
+    falling = falling_fit(curves)
+    below = falling < share - 1e-12  # a mean that should equal the share may miss it by rounding
+    after = np.clip(np.argmax(below, axis=1), 1, None)
+    if len(levels) == 1:
+        return np.where(below[:, 0], -np.inf, np.inf)
+    each = np.arange(len(curves))
+    above, under = (logit((n * falling[each, at] + 0.5) / (n + 1)) for at in (after - 1, after))
+    with np.errstate(invalid="ignore", divide="ignore"):  # where a curve does not cross
+        part = (above - logit((n * share + 0.5) / (n + 1))) / (above - under)
+        level = levels[after - 1] + part * (levels[after] - levels[after - 1])
+    return np.where(below[:, 0], -np.inf, np.where(below[:, -1], level, np.inf))
+
+
+def falling_fit(curves: Array) -> Array:
+    r"""Give the curves that never rise and are nearest in least squares, a row each.
+
+    It is :math:`\hat y_i = \min_{a \le i} \max_{b \ge i} \bar y_{a..b}`, for many short curves at once.
+
+    Parameters
+    ----------
+    curves : ndarray (m, L)
+        Curves.
+
+    Returns
+    -------
+    ndarray (m, L)
+
+    Notes
+    -----
+    Source: T. Robertson, F. T. Wright and R. L. Dykstra, *Order Restricted Statistical Inference*, 1988, section 1.4.
+    """
+    m, L = curves.shape
+    sums = np.concatenate([np.zeros((m, 1)), np.cumsum(curves, axis=1)], axis=1)
+    fitted = np.full((m, L), np.inf)
+    for a in range(L):
+        means = (sums[:, a + 1 :] - sums[:, a, None]) / np.arange(1, L - a + 1)
+        greatest = np.maximum.accumulate(means[:, ::-1], axis=1)[:, ::-1]
+        np.minimum(fitted[:, a:], greatest, out=fitted[:, a:])
+    return fitted
 
 
 class Tail(NamedTuple):

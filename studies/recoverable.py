@@ -457,6 +457,11 @@ def table() -> Path:
     return next(file for file in _TABLES if file.exists())
 
 
+@cache
+def _shipped_rows() -> tuple[Row, ...]:
+    return tuple(_study.read_rows(table(), Row))
+
+
 def shipped() -> dict[float, npt.NDArray[np.bool_]]:
     """Give which starts are recoverable, by spread: row ``i`` is start ``i`` of seed 0, from the table that is shipped.
 
@@ -465,11 +470,35 @@ def shipped() -> dict[float, npt.NDArray[np.bool_]]:
     dict
         Arrays ``(n,)`` of the starts ``Balance(lam).starts(default_rng([0, 1]), n, rig)``.
     """
-    rows = [row for row in _study.read_rows(table(), Row) if not math.isnan(row.lam)]
+    rows = [row for row in _shipped_rows() if not math.isnan(row.lam)]
     return {
         lam: np.array([row.recoverable for row in sorted(rows, key=lambda row: row.index) if row.lam == lam])
         for lam in sorted({row.lam for row in rows})
     }
+
+
+def shipped_map() -> tuple[Array, Array]:
+    """Give the least force that saves a start at rest, over both angles, from the table that is shipped.
+
+    Returns
+    -------
+    angles : ndarray (m,)
+        Of either link, rad.
+    force : ndarray (m, m)
+        N, by θ2 and θ1; NaN where no motion was found.
+    """
+    return _mirrored([row for row in _shipped_rows() if math.isnan(row.lam)], lambda row: row.least_force)
+
+
+def _mirrored(rows: list[Row], value: Callable[[Row], float]) -> tuple[Array, Array]:
+    """Give the angles of a map, and what is known of its computed half over the whole of it, by θ2 and θ1."""
+    angles = sorted({sign * angle for row in rows for angle in (row.th1, row.th2) for sign in (1, -1)})
+    place = {angle: i for i, angle in enumerate(angles)}
+    whole = np.full((len(angles), len(angles)), np.nan)
+    for row in rows:
+        for sign in (1, -1):
+            whole[place[sign * row.th2], place[sign * row.th1]] = value(row)
+    return np.array(angles), whole
 
 
 # -------------------------------------------------------------------------------------------------- figures and summary
@@ -523,15 +552,10 @@ def _plot_curves(axis: Axes, rows: list[Row]) -> None:
 
 def _plot_map(axis: Axes, rows: list[Row]) -> None:
     """Draw what saves each start, the least force as contours, and the indicator's boundary."""
-    angles = sorted({sign * angle for row in rows for angle in (row.th1, row.th2) for sign in (1, -1)})
-    place = {angle: i for i, angle in enumerate(angles)}
-    kind = np.zeros((len(angles), len(angles)))
-    force = np.full(kind.shape, np.nan)
-    for row in rows:
-        colour = 0 if not row.recoverable else 3 if row.lqr else 2 if row.by in LAWS else 1
-        for sign in (1, -1):
-            at = place[sign * row.th2], place[sign * row.th1]
-            kind[at], force[at] = colour, row.least_force
+    angles, kind = _mirrored(
+        rows, lambda row: 0 if not row.recoverable else 3 if row.lqr else 2 if row.by in LAWS else 1
+    )
+    force = _mirrored(rows, lambda row: row.least_force)[1]
     colours = ["#f0f0f0", "#b8b8b8", "#8ab6dc", "#2d6da8"]
     words = ["not found", "only optimal control or others", "another LQR or its sign", "LQR, Q = I, R = 1"]
     axis.pcolormesh(angles, angles, kind, cmap=ListedColormap(colours), vmin=-0.5, vmax=3.5, shading="nearest")

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from rigs import whole
 from scipy import stats
+from scipy.optimize import isotonic_regression
 
-from studies._intervals import crossing, over_seeds, wilson, worst_cases
+from studies._intervals import crossing, falling_fit, over_seeds, wilson, worst_cases
 
 
 @pytest.mark.parametrize("p", [0.05, 0.5, 0.9, 0.99])
@@ -109,6 +110,13 @@ def test_the_crossing_of_an_exact_logistic_is_exact_between_levels(share: float)
     found = crossing(LEVELS, rows, share, resamples=2)
     assert found.level == pytest.approx(where(share), abs=2e-4)
     assert found.low == pytest.approx(found.high, abs=1e-9)
+
+
+def test_curves_made_to_fall_are_those_of_isotonic_regression() -> None:
+    rng = np.random.default_rng(0)
+    curves = np.concatenate([rng.random((50, 7)), rng.integers(0, 3, (50, 7)) / 2])
+    fitted = [isotonic_regression(curve, increasing=False).x for curve in curves]
+    assert np.abs(falling_fit(curves) - fitted).max() < 1e-12
 
 
 def test_a_curve_that_rises_by_chance_is_levelled() -> None:

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-import dpend
 from studies import _study, lambda_sweep, published_q
 from tests import study_example
 
@@ -98,8 +97,11 @@ def test_other_options_are_other_work(tmp_path):
         (["--lam", "-0.2"], "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; "
          "got -0.2."),
         (["--lam", "0.1", "0.1"], "--lam names a spread twice; got (0.1, 0.1)."),
-        (["--controllers", "0"], "--controllers must be at least 1; got 0."),
-        (["--episodes", "0"], "--episodes must be at least 1; got 0."),
+        (["--trainings", "0"], "--trainings must be at least 1; got 0."),
+        (["--episodes", "1"], "--episodes must be at least 2; got 1."),
+        (["--part-of", "1"], "--part-of must be at least 2; got 1."),
+        (["--basins", "-1"], "--basins must be at least 0; got -1."),
+        (["--only", "Q publish"], "Nobody that can take part is called 'Q publish'. Did you mean 'Q published'?"),
         (["--workers", "0"], "--workers must be at least 1; got 0."),
         (["--seed", "-1"], "--seed must be at least 0; got -1."),
     ],
@@ -138,45 +140,6 @@ def test_every_study_runs_quickly(name, tmp_path):
     rows = _study.main(name, ["--quick", "--out", str(tmp_path), "--workers", "1"])
     assert rows
     assert (tmp_path / f"{name.removeprefix('studies.')}.png").stat().st_size > 10_000
-
-
-def test_trained_controllers_meet_their_part_of_the_starts_that_lqr_meets_whole():
-    options = lambda_sweep.Options(controllers=2, episodes=30, lam=(0.3,))
-    rig = dpend.rig("gustafsson2016")
-    task = dpend.Balance(lam=0.3)
-    starts = task.starts(np.random.default_rng([0, 1]), 60, rig)
-    (lqr,) = lambda_sweep.run(_study.Job("LQR"), options).rows
-    assert lqr.successes == dpend.simulate_many(rig, lambda_sweep.LQR(rig), starts, task=task).success.sum()
-    (second,) = lambda_sweep.run(_study.Job("Q published", 1), options).rows
-    policy = lambda_sweep.LEARNED["Q published"](rig).train([0, 2, 1]).policy
-    assert second.successes == dpend.simulate_many(rig, policy, starts[30:], task=task).success.sum()
-    assert second.episodes == 30
-
-
-def row(**changes):
-    made = {
-        "controller": "Q tuned", "training": 0, "lam": 0.1, "episodes": 100, "successes": 90, "successes_report": 95,
-        "outcome": "converged", "training_episodes": 1, "training_steps": 2, "test_steps": 3,
-    }  # fmt: skip
-    return lambda_sweep.Row(**(made | changes))
-
-
-def test_a_rate_is_of_one_controller_one_spread_and_one_criterion():
-    rows = [row(), row(training=1, successes=50), row(lam=0.2, successes=0), row(controller="LQR", successes=7)]
-    assert lambda_sweep.rate(rows, "Q tuned", 0.1).share == pytest.approx(0.7)
-    assert lambda_sweep.rate(rows, "Q tuned", 0.1, report=True).share == pytest.approx(0.95)
-    assert lambda_sweep.rate(rows, "LQR", 0.1).share == pytest.approx(0.07)
-    low, high = lambda_sweep.rate(rows, "Q tuned", 0.1)[1:]
-    assert high - low > 0.5  # two trainings that differ so tell little
-
-
-def test_the_count_of_the_converged_leaves_out_the_others():
-    rows = [row(), row(training=1, outcome="diverged"), row(training=1, lam=0.2, outcome="diverged")]
-    assert lambda_sweep._converged(rows, "Q tuned") == "1 of 2"
-
-
-def test_the_reports_table_is_what_the_report_says():
-    assert lambda_sweep.TABLE2 == {0.1: 0.94, 0.2: 0.92, 0.3: 0.78, 0.4: 0.49}
 
 
 @pytest.mark.parametrize("what", ["source", "version", "option", "seed"])

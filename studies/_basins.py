@@ -1,0 +1,107 @@
+"""Basins: from which angles at rest a controller saves the double pendulum, over what can be saved at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from scipy.interpolate import RegularGridInterpolator
+
+import dpend
+from dpend.params import Array
+
+from . import recoverable
+
+EXTENT = 0.8
+"""Greatest angle on a map, rad; as on that of ``recoverable``."""
+
+_RIM, _SHADES = "#d0d0d0", colormaps["Blues"]
+
+
+def starts(side: int) -> Array:
+    """Give the states at rest of a map, ``(side * side, 6)``, row by row: θ2 first, then θ1."""
+    th2, th1 = np.meshgrid(*2 * [np.linspace(-EXTENT, EXTENT, side)], indexing="ij")
+    x = np.zeros((side * side, 6))
+    x[:, 1], x[:, 2] = th1.ravel(), th2.ravel()
+    return x
+
+
+def basin(controller: dpend.Controller, side: int, seed: int) -> npt.NDArray[np.bool_]:
+    """Give where a controller balances ``gustafsson2016``: a map ``(side, side)`` of truth values, by θ2 and θ1."""
+    runs = dpend.simulate_many(recoverable.RIG, controller, starts(side), task=dpend.Balance(), seed=seed)
+    return runs.success.reshape(side, side)
+
+
+def part_saved(saved: npt.NDArray[Any]) -> float:
+    """Give the share of what can be saved that a basin ``(side, side)`` holds, by area; of several trainings, the mean.
+
+    What can be saved is where the least force, linear between the points of ``recoverable``'s map, is within the limit.
+    """
+    angles, force = recoverable.shipped_map()
+    least = RegularGridInterpolator((angles, angles), force)(starts(len(saved))[:, [2, 1]])
+    return float(saved.ravel()[least <= recoverable.FORCE].mean())
+
+
+def plot_basins(basins: Mapping[str, Array], columns: int = 4) -> Figure:
+    """Draw basins side by side, each over what can be saved at all.
+
+    Parameters
+    ----------
+    basins : mapping of str to ndarray (side, side)
+        By name: the share of trainings whose controller saves a start, by θ2 and θ1.
+    columns : int
+        Maps in a row.
+
+    Returns
+    -------
+    Figure
+    """
+    rows = -(-len(basins) // columns)
+    figure = Figure(figsize=(6.8, 1.8 * rows + 0.75), layout="constrained")
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axis, (name, saved) in zip(axes.flat, basins.items(), strict=False):
+        _plot_basin(axis, saved)
+        axis.set_title(f"{name}: {100 * part_saved(saved):.0f} %", fontsize=7.5, pad=3)
+    for axis in axes.flat[len(basins) :]:
+        axis.axis("off")
+    for column, axis in enumerate(axes[-1]):
+        lowest = axis if axis.axison else axes[-2, column]
+        lowest.tick_params(labelbottom=True)
+    figure.supxlabel("θ1 (rad)", fontsize=9)
+    figure.supylabel("θ2 (rad)", fontsize=9)
+    handles = [
+        Patch(facecolor=_SHADES(_shade(1.0)), label="saved"),
+        Patch(facecolor=_SHADES(_shade(0.5)), label="by half of the trainings"),
+        Patch(facecolor=_RIM, label="could be saved"),
+        Line2D([], [], color="k", lw=1.2, label=f"least force {recoverable.FORCE:g} N"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    return figure
+
+
+def _shade(share: Any) -> Any:
+    """Give the place of a share in the colours, of which the palest are left out."""
+    return 0.2 + 0.7 * share
+
+
+def _plot_basin(axis: Axes, saved: Array) -> None:
+    angles, force = recoverable.shipped_map()
+    axis.contourf(angles, angles, force, [0.0, recoverable.FORCE], colors=[_RIM])
+    step = 2 * EXTENT / max(len(saved) - 1, 1)
+    outer = EXTENT + step / 2
+    axis.imshow(
+        np.ma.masked_where(saved == 0, _shade(saved)),
+        cmap=_SHADES, vmin=0, vmax=1, origin="lower", extent=(-outer, outer, -outer, outer), zorder=2,
+    )  # fmt: skip
+    axis.contour(angles, angles, force, [recoverable.FORCE], colors="k", linewidths=1.0, zorder=3)
+    limits = -EXTENT - 0.03, EXTENT + 0.03
+    axis.set(xlim=limits, ylim=limits, xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5), aspect="equal")
+    axis.tick_params(labelsize=7)
+    axis.grid(alpha=0.3)
