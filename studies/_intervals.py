@@ -129,7 +129,7 @@ def crossing(
 
 
 def _crossed(levels: Array, curves: Array, share: float, n: int) -> Array:
-    """Give where each curve, made to fall, crosses a share; half a success and half a failure keep its logits finite."""
+    """Give where curves, made to fall, cross a share; half a success and half a failure keep their logits finite."""
     falling = falling_fit(curves)
     below = falling < share - 1e-12  # a mean that should equal the share may miss it by rounding
     after = np.clip(np.argmax(below, axis=1), 1, None)
