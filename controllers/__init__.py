@@ -3,7 +3,7 @@
 from .constant import Constant, Zero
 from .data import shipped
 from .energy import EnergyPump, EnergySwingUp
-from .estimators import EKF, UKF, Predictor, WithEstimator
+from .estimators import EKF, UKF, Differences, Predictor, WithEstimator
 from .ilqr import ILQRMPC, ilqr
 from .lqr import LQR, BangBang, Margins
 from .nmpc import NMPC
@@ -26,6 +26,7 @@ __all__ = [
     "BangBang",
     "Catch",
     "Constant",
+    "Differences",
     "Ellipsoid",
     "EnergyPump",
     "EnergySwingUp",

@@ -42,7 +42,7 @@ class WithEstimator:
 
     Parameters
     ----------
-    estimator : Predictor, EKF or UKF
+    estimator : Differences, Predictor, EKF or UKF
         Or anything with such a method ``follow``.
     controller : Controller
         Any law.
@@ -82,6 +82,35 @@ class WithEstimator:
         if hasattr(inner, "log"):
             act.log = inner.log  # type: ignore[attr-defined]
         return act
+
+
+class Differences:
+    r"""First differences, :math:`\hat v_k = (y_k - y_{k-1})/T`: what encoders give where nobody estimates.
+
+    The three positions are believed as they are measured, and each rate is the mean over the sample that ended.  The
+    first rates are zero.  Measured rates are not looked at, noise is multiplied by :math:`\sqrt 2/T`, and delays stay.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        Whose sample time is counted with.
+    """
+
+    def __init__(self, rig: Rig | str) -> None:
+        self.rig = as_rig(rig)
+
+    def follow(self, n: int) -> Follow:
+        """Give the estimator for ``n`` runs."""
+        before: Array | None = None
+
+        def follow(y: Array, _: Array) -> Array:
+            nonlocal before
+            positions = np.array(y[:, :3], dtype=np.float64)
+            rates = np.zeros((n, 3)) if before is None else (positions - before) / self.rig.sample_time
+            before = positions
+            return np.concatenate([positions, rates], axis=1)
+
+        return follow
 
 
 class Predictor:

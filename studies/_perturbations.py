@@ -1,0 +1,510 @@
+"""What is done to a rig to see who bears it: RealAIGym's six axes, plants wrong in everything at once, real sensors.
+
+The rig is the one that all believe in, :data:`~studies._entrants.RIG`, and is changed behind the controller's back.
+Whoever meets a perturbation meets it from the same starts, with the same noise and the same pushes; those who meet
+fewer starts or plants meet the first ones.
+
+Source of the axes: the robustness leaderboard (v2) of F. Wiebe et al., *Open Source Dual-Purpose Acrobot and Pendubot
+Platform*, 2023, as its code has them (GitHub dfki-ric-underactuated-lab/double_pendulum).  Torques of its 6 N m motors
+became forces of ours in the ratio of the limits, 40 N to 6 N m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+import dpend
+from controllers import EKF, UKF, Differences, Predictor, WithEstimator
+from dpend import Balance, Controller, Rig, SwingUp
+from dpend.params import Array
+
+from ._entrants import RIG, Task
+from ._intervals import Rate, wilson
+
+SECONDS = 10.0
+"""How long each run lasts, s; RealAIGym's."""
+
+Change = Callable[[Array], dict[str, Any]]
+"""Fields of the rig for levels ``()``, or ``(N,)`` for a rig a row."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Axis:
+    """One way in which a rig gets worse, level by level.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    group : str
+        Which of RealAIGym's six it belongs to; "nominal" for none of them, "sensors" for those beyond.
+    levels : tuple of float
+        Increasing, the nominal one left out.
+    changes : callable
+        What a level does to the rig.
+    words : str
+        What the levels are, with their unit.
+    pulses : bool
+        Whether pushes grow with the level.
+    theirs : float
+        Least magnitude that RealAIGym has too.
+    """
+
+    name: str
+    group: str
+    levels: tuple[float, ...]
+    changes: Change = lambda levels: {}
+    words: str = ""
+    pulses: bool = False
+    theirs: float = 0.0
+
+
+# ------------------------------------------------------------------------------------------------ RealAIGym's six axes
+
+_ERRORS = (-0.25, -0.17, -0.08, 0.08, 0.17, 0.25)
+_TORQUE_TO_FORCE = float(RIG.force_limit) / 6.0
+FRICTIONS = {
+    "cart_friction": 0.1 * _TORQUE_TO_FORCE,  # N s/m
+    "joint1_friction": 0.1,
+    "joint2_friction": 0.1,
+    "cart_coulomb": 0.2 * _TORQUE_TO_FORCE,
+}
+"""Frictions and their greatest values, N s/m, N m s and N; the rig has none, and RealAIGym's negative ones are left
+out."""
+
+
+def _resolved(params: dpend.Params) -> dict[str, float]:
+    """Give masses, lengths, centres and inertias, none left to follow another."""
+    (com1, com2), (inertia1, inertia2) = params.centers, params.inertias
+    named = {name: getattr(params, name) for name in ("cart_mass", "mass1", "mass2", "length1")}
+    named |= {"com1": com1, "com2": com2, "inertia1": inertia1, "inertia2": inertia2}
+    return {name: float(value) for name, value in named.items()}
+
+
+PARAMETERS = _resolved(RIG.params)
+"""What is wrong one at a time, all else staying, centres and inertias too; link 2's length then moves nothing."""
+
+
+def _wrong(name: str) -> Change:
+    fixed = {key: PARAMETERS[key] for key in ("com1", "com2", "inertia1", "inertia2")}
+    return lambda levels: fixed | {name: PARAMETERS[name] * (1 + levels)}
+
+
+def _rubbing(name: str) -> Change:
+    return lambda levels: {name: levels}
+
+
+def lag(response: npt.ArrayLike) -> Array:
+    r"""Give the time constant, s, with which a force moves by a share :math:`k` of what is missing in each sample.
+
+    RealAIGym's :math:`u = u_- + k\,(u_\text{des} - u_-)` is :math:`k = 1 - e^{-T/\tau}`.
+
+    Parameters
+    ----------
+    response : array_like
+        :math:`k`, above 0, at most 1, which is no lag.
+
+    Returns
+    -------
+    ndarray
+        :math:`\tau = -T/\ln(1 - k)`.
+    """
+    missing = 1 - np.asarray(response, dtype=np.float64)
+    with np.errstate(divide="ignore"):
+        return np.where(missing > 0, -RIG.sample_time / np.log(np.maximum(missing, 1e-300)), 0.0)
+
+
+_POSITIONS, _RATES = np.array([1.0, 1, 1, 0, 0, 0]), np.array([0.0, 0, 0, 1, 1, 1])
+
+NOMINAL = Axis(name="nominal", group="nominal", levels=(0.0,))
+"""The rig as it is believed to be."""
+
+AXES: tuple[Axis, ...] = (
+    *(
+        Axis(name=name, group="model", levels=_ERRORS, changes=_wrong(name), words="error")
+        for name in PARAMETERS
+    ),
+    *(
+        Axis(name=name, group="model", levels=tuple(most * np.arange(1, 7) / 6), changes=_rubbing(name), words=words)
+        for (name, most), words in zip(FRICTIONS.items(), ("N s/m", "N m s", "N m s", "N"), strict=True)
+    ),
+    Axis(
+        name="velocity noise", group="velocity noise", levels=(0.1, 0.2, 0.3, 0.4, 0.5),
+        changes=lambda levels: {"sensor_noise": levels[..., None] * _RATES}, words="noise of rates, σ (m/s, rad/s)",
+    ),
+    Axis(
+        name="force noise", group="force noise", levels=tuple(1.1 * _TORQUE_TO_FORCE * np.arange(1, 6) / 5),
+        changes=lambda levels: {"force_noise": levels}, words="noise of the force, σ (N)",
+    ),
+    Axis(
+        name="response", group="response", levels=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
+        changes=lambda levels: {"actuator_lag": lag(1 - levels)}, words="force missing after a sample, 1 - k",
+    ),
+    Axis(
+        name="delay", group="delay", levels=(1.0, 2.0),
+        changes=lambda levels: {"sensor_delay": np.rint(levels).astype(np.int64)}, words="delay (samples of 20 ms)",
+    ),
+    Axis(
+        name="pulses", group="pulses", levels=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
+        words="pulses, share of the largest", pulses=True, theirs=0.1,
+    ),
+)  # fmt: skip
+"""RealAIGym's: one parameter wrong at a time, noise of measured rates, noise of the force, slow force, late
+measurements, pushes; the rig's nominal level left out."""
+
+GROUPS = tuple(dict.fromkeys(axis.group for axis in AXES))
+"""The six."""
+
+LARGEST_PULSE = np.array([5.0 * _TORQUE_TO_FORCE, 5.0, 5.0])
+"""The largest push on the cart, N, and on each link, N m: RealAIGym's on a link, and its share of the limit on the
+cart."""
+
+
+class Pulses:
+    r"""Six Gaussian pushes a run, :math:`\pm A e^{-(t-\mu)^2/2\sigma^2}`, two each on cart, link 1 and link 2.
+
+    Of one start the moments, at least 1 s apart within 1 and 9 s, the widths, :math:`\sigma \sim U[0.05, 0.1]` s, and
+    the signs are the same at every level and for everyone.
+
+    Parameters
+    ----------
+    starts : int
+        Starts.
+    seed : int
+        What they are drawn from, start by start.
+    """
+
+    def __init__(self, starts: int, seed: int) -> None:
+        drawn = [self._draw(np.random.default_rng([seed, 2, start])) for start in range(starts)]
+        self.moments, self.widths, self.signs = (np.stack(each) for each in zip(*drawn, strict=True))
+
+    @staticmethod
+    def _draw(rng: np.random.Generator) -> tuple[Array, Array, Array]:
+        gaps = 1.0 + (SECONDS - 7.0) / 6 * rng.random(6)
+        return (
+            rng.permutation(np.cumsum(gaps)).reshape(3, 2),
+            rng.uniform(0.05, 0.1, (3, 2)),
+            rng.choice([-1.0, 1.0], (3, 2)),
+        )
+
+    def pushing(self, levels: Array) -> Callable[[float], Array]:
+        """Give the pushes ``(starts * L, 3)`` over time at ``L`` levels, start by start."""
+        largest = levels[:, None, None] * LARGEST_PULSE[:, None] * self.signs[:, None]
+
+        def push(t: float) -> Array:
+            shapes = np.exp(-0.5 * ((t - self.moments) / self.widths) ** 2)
+            return (largest * shapes[:, None]).sum(axis=-1).reshape(-1, 3)
+
+        return push
+
+
+def task_of(task: Task, seconds: float = SECONDS) -> Balance | SwingUp:
+    """Give a task: balance from λ = 0.1, or swing up from hanging, both angles moved by up to 0.1 rad."""
+    steps = round(seconds / RIG.sample_time)
+    return Balance(lam=0.1, steps=steps) if task == "balance" else SwingUp(start="hanging", spread=0.1, steps=steps)
+
+
+def _starts(task: Balance | SwingUp, n: int, seed: int) -> Array:
+    return task.starts(np.random.default_rng([seed, 1]), n, RIG)
+
+
+def meet(controller: Controller, task: Balance | SwingUp, axis: Axis, starts: int, seed: int) -> Array:
+    """Let a controller meet every level of an axis from every start.
+
+    Parameters
+    ----------
+    controller : Controller
+        Made for the nominal rig.
+    task : Balance or SwingUp
+        What is to be done.
+    axis : Axis
+        What is done to the rig.
+    starts : int
+        How many starts; fewer are the first of more.
+    seed : int
+        What starts, noise and pushes are drawn from.
+
+    Returns
+    -------
+    ndarray (starts, levels)
+        One where it succeeded, else zero.
+    """
+    levels = np.array(axis.levels)
+    rows = np.tile(levels, starts)  # all levels of the first start come first
+    push = Pulses(starts, seed).pushing(levels) if axis.pulses else None
+    runs = dpend.simulate_many(
+        RIG.replace(**axis.changes(rows)),
+        controller,
+        np.repeat(_starts(task, starts, seed), len(levels), axis=0),
+        task=task,
+        push=push,
+        seed=seed,
+    )
+    return runs.success.reshape(starts, len(levels)).astype(np.float64)
+
+
+def measure(controller: Controller, task: Task, starts: int = 20, seed: int = 0) -> dict[str, Array]:
+    """Let a controller meet the nominal rig and RealAIGym's six axes.
+
+    Parameters
+    ----------
+    controller : Controller
+        Made for the nominal rig.
+    task : {"balance", "swing-up"}
+        What is to be done.
+    starts : int
+        Starts of each level.
+    seed : int
+        What starts, noise and pushes are drawn from.
+
+    Returns
+    -------
+    dict
+        Outcomes ``(starts, levels)`` by the name of the axis, for :func:`score`.
+    """
+    return {axis.name: meet(controller, task_of(task), axis, starts, seed) for axis in (NOMINAL, *AXES)}
+
+
+def of_groups(outcomes: Mapping[str, Array], axes: Iterable[Axis] = AXES) -> dict[str, Array]:
+    """Put the outcomes of each of the six side by side: ``(starts, settings)`` by group."""
+    grouped: dict[str, list[Array]] = {}
+    for axis in axes:
+        grouped.setdefault(axis.group, []).append(outcomes[axis.name])
+    return {group: np.concatenate(arrays, axis=1) for group, arrays in grouped.items()}
+
+
+def score(outcomes: Mapping[str, Array]) -> Rate:
+    """Give one number for robustness: success in perturbed settings, the mean over the six axes.
+
+    Parameters
+    ----------
+    outcomes : mapping
+        Outcomes ``(starts, levels)`` by the name of the axis; what :func:`measure` gives.
+
+    Returns
+    -------
+    Rate
+        The nominal level is not counted.  The interval is Student's over starts, or Wilson's of all runs where that is
+        wider.
+
+    Raises
+    ------
+    KeyError
+        If an axis is missing.
+    """
+    groups = of_groups(outcomes)
+    return mean_share(
+        np.mean([of.mean(axis=1) for of in groups.values()], axis=0), sum(of.size for of in groups.values())
+    )
+
+
+def mean_share(shares: npt.ArrayLike, runs: int) -> Rate:
+    """Give the mean over starts of a share of successes, the start being the unit of replication.
+
+    Parameters
+    ----------
+    shares : array_like (n,)
+        A share for each start, within 0 and 1.
+    runs : int
+        Runs in all.
+
+    Returns
+    -------
+    Rate
+        Student's interval over starts, cut off at 0 and 1, or Wilson's of all runs where that is wider.
+    """
+    each = np.asarray(shares, dtype=np.float64)
+    mean = float(each.mean())
+    low, high = wilson(round(mean * runs), runs)[1:]
+    half = stats.t.ppf(0.975, len(each) - 1) * each.std(ddof=1) / np.sqrt(len(each)) if len(each) > 1 else 0.0
+    return Rate(mean, min(low, mean, max(0.0, mean - half)), max(high, mean, min(1.0, mean + half)))
+
+
+def realaigym(outcomes: Mapping[str, Array]) -> float:
+    """Give the score as RealAIGym counts it, to be read beside its leaderboard with care.
+
+    A setting counts whole if more than half of its runs succeed, and the mean is over the six axes.  The nominal level
+    counts as one setting of 21 where RealAIGym has it in its lists, which is in all but the response and the pulses.
+
+    Parameters
+    ----------
+    outcomes : mapping
+        Outcomes ``(starts, levels)`` by the name of the axis; what :func:`measure` gives.
+
+    Returns
+    -------
+    float
+        Within 0 and 1.
+    """
+    won = float(outcomes[NOMINAL.name].mean() > 0.5)
+    within = {axis.name: outcomes[axis.name][:, np.abs(axis.levels) >= axis.theirs - 1e-12] for axis in AXES}
+    shares = {group: float((of.mean(axis=0) > 0.5).mean()) for group, of in of_groups(within).items()}
+    return float(
+        np.mean(
+            [share if group in ("response", "pulses") else (20 * share + won) / 21 for group, share in shares.items()]
+        )
+    )
+
+
+# ------------------------------------------------------------------------------------------ wrong in everything at once
+
+WITHIN = 0.2
+"""By how much everything may be wrong at once, as a share."""
+
+_FACTORS = ("cart_mass", "mass1", "mass2", "length1", "length2", "com1", "com2", "force_limit")
+UNCERTAIN = (*_FACTORS, *FRICTIONS)
+"""What is drawn of each plant: factors within 1 ± :data:`WITHIN`, and frictions from zero to their greatest."""
+
+
+def plants(n: int, seed: int) -> dict[str, Array]:
+    r"""Draw plants that are wrong in everything at once: a scrambled Sobol sequence.
+
+    Masses, lengths and the force limit are within a fifth of what is believed; the centres within a fifth of the
+    middle of their link; the inertias are those of the links as rods, :math:`m L^2/12`; and frictions are anything
+    from zero up.
+
+    Parameters
+    ----------
+    n : int
+        How many; a power of two, which a Sobol sequence covers evenly.
+    seed : int
+        What the scrambling is drawn from.
+
+    Returns
+    -------
+    dict
+        Arrays ``(n,)`` by the names of :data:`UNCERTAIN`, for :meth:`~dpend.Rig.replace`.
+    """
+    points = stats.qmc.Sobol(len(UNCERTAIN), rng=np.random.default_rng([seed, 3])).random(n)
+    drawn = dict(zip(UNCERTAIN, points.T, strict=True))
+    known = {name: float(getattr(RIG.params, name)) for name in _FACTORS[:5]} | {"force_limit": float(RIG.force_limit)}
+    found = {name: value * (1 + WITHIN * (2 * drawn[name] - 1)) for name, value in known.items()}
+    for k in "12":
+        found[f"com{k}"] = found[f"length{k}"] / 2 * (1 + WITHIN * (2 * drawn[f"com{k}"] - 1))
+    return found | {name: most * drawn[name] for name, most in FRICTIONS.items()}
+
+
+def meet_plants(controller: Controller, task: Balance | SwingUp, n: int, starts: int, seed: int) -> Array:
+    """Let a controller, made for the nominal rig, meet plants from every start.
+
+    Parameters
+    ----------
+    controller : Controller
+        Made for the nominal rig.
+    task : Balance or SwingUp
+        What is to be done.
+    n : int
+        How many plants, a power of two; fewer are the first of more.
+    starts : int
+        Starts on each plant, the same on all.
+    seed : int
+        What plants and starts are drawn from.
+
+    Returns
+    -------
+    ndarray (n, starts)
+        One where it succeeded, else zero.
+    """
+    rig = RIG.replace(**{name: np.repeat(values, starts) for name, values in plants(n, seed).items()})
+    x0 = np.tile(_starts(task, starts, seed), (n, 1))
+    return dpend.simulate_many(rig, controller, x0, task=task, seed=seed).success.reshape(n, starts).astype(np.float64)
+
+
+# -------------------------------------------------------------------------------------------------------------- sensors
+
+
+def encoders(counts: npt.ArrayLike) -> Array:
+    """Give the steps of encoders of so many counts a turn; the cart's sits on a pulley of 0.2 m a turn.
+
+    Parameters
+    ----------
+    counts : array_like
+        Counts a turn; infinite for no rounding.
+
+    Returns
+    -------
+    ndarray (6,)
+        Steps in m and rad; rates are not rounded.
+    """
+    return np.array([0.2, 2 * np.pi, 2 * np.pi, 0, 0, 0]) / np.asarray(counts, dtype=np.float64)
+
+
+_FINE = {"resolution": encoders(2048)}
+
+SENSORS: tuple[Axis, ...] = (
+    Axis(
+        name="noise", group="sensors", levels=(0.001, 0.002, 0.005, 0.01, 0.02, 0.05),
+        changes=lambda levels: {"sensor_noise": levels * _POSITIONS}, words="noise of positions, σ (m, rad)",
+    ),
+    Axis(
+        name="encoders", group="sensors", levels=tuple(1 / counts for counts in (4096, 2048, 1024, 512, 256, 128)),
+        changes=lambda levels: {"resolution": encoders(1 / levels)}, words="counts a turn",
+    ),
+    Axis(
+        name="delay", group="sensors", levels=(1.0, 2.0, 3.0),
+        changes=lambda levels: _FINE | {"sensor_delay": round(float(levels))}, words="delay (samples of 20 ms)",
+    ),
+    Axis(
+        name="lag", group="sensors", levels=(0.2, 0.4, 0.6, 0.8),
+        changes=lambda levels: _FINE | {"actuator_lag": float(lag(1 - levels))}, words="force missing after a sample",
+    ),
+)  # fmt: skip
+"""Noise of the measured positions; rounding by encoders; and, with encoders of 2048 counts, delay and a slow force."""
+
+View = Callable[[Rig, Controller], Controller]
+
+VIEWS: dict[str, View] = {
+    "rates measured": lambda rig, controller: controller,
+    "differences": lambda rig, controller: WithEstimator(Differences(rig), controller),
+    "differences, Predictor": lambda rig, controller: WithEstimator(
+        Differences(rig), WithEstimator(Predictor(rig), controller)
+    ),
+    "EKF": lambda rig, controller: WithEstimator(EKF(rig), controller),
+    "UKF": lambda rig, controller: WithEstimator(UKF(rig), controller),
+}
+"""What stands between sensors and controller.  The first has rates measured without error beside the positions; the
+others have positions only, and know plant, noise, rounding, delay and lag."""
+
+
+def views(axis: Axis) -> tuple[str, ...]:
+    """Give the names of the views that differ on an axis: prediction does something only about delay."""
+    return tuple(name for name in VIEWS if "Predictor" not in name or axis.name == "delay")
+
+
+def meet_sensors(
+    controller: Controller, task: Balance | SwingUp, axis: Axis, view: str, starts: int, seed: int
+) -> Array:
+    """Let a controller meet every level of a sensor axis through one of the views.
+
+    Parameters
+    ----------
+    controller : Controller
+        Made for the nominal rig.
+    task : Balance or SwingUp
+        What is to be done.
+    axis : Axis
+        One of :data:`SENSORS`.
+    view : str
+        One of :data:`VIEWS`.
+    starts : int
+        Starts of each level.
+    seed : int
+        What starts and noise are drawn from: the same at every level and for every view.
+
+    Returns
+    -------
+    ndarray (starts, levels)
+        One where it succeeded, else zero.
+    """
+    x0 = _starts(task, starts, seed)
+    columns = []
+    for level in axis.levels:
+        rig = RIG.replace(**axis.changes(np.array(level)))
+        columns.append(dpend.simulate_many(rig, VIEWS[view](rig, controller), x0, task=task, seed=seed).success)
+    return np.stack(columns, axis=1).astype(np.float64)
