@@ -210,6 +210,10 @@ class _Filter:
         mean, covariance = np.zeros((n, 6)), np.tile(first_guess, (n, 1, 1))
         samples = -1
 
+        def begin_again_where_lost(measured: Array) -> None:
+            lost = ~(np.abs(mean).max(axis=1) < 1e6) | ~(np.abs(covariance).max(axis=(1, 2)) < 1e12)
+            mean[lost], covariance[lost] = np.pad(measured[lost], ((0, 0), (0, 3))), first_guess
+
         def follow(y: Array, u: Array) -> Array:
             nonlocal mean, covariance, samples
             under_way.listen(u)
@@ -220,10 +224,9 @@ class _Filter:
                     mean[:, :3] = measured
                 elif samples > rig.sensor_delay:  # until then the sensors repeat the first reading
                     mean, covariance = move(mean, covariance, under_way.last_before_measured())
+                    begin_again_where_lost(measured)  # before numbers without bound are divided by each other
                     mean, covariance = self._update(mean, covariance, measured)
-                    lost = ~(np.abs(mean).max(axis=1) < 1e6) | ~np.isfinite(covariance).all(axis=(1, 2))
-                    if lost.any():
-                        mean[lost], covariance[lost] = np.pad(measured[lost], ((0, 0), (0, 3))), first_guess
+                    begin_again_where_lost(measured)
                 return _predict(ahead, mean, under_way.since_measured())
 
         return follow, lambda: (mean.copy(), covariance.copy())
@@ -250,7 +253,7 @@ class EKF(_Filter):
     The mean moves by the plant's own step :math:`\Phi(x, f)`; :math:`A = \partial\Phi/\partial x` and
     :math:`G = \partial\Phi/\partial f` are its derivatives at the mean, by central differences of fourth order.
     Measured rates are not looked at.  The first measurement is the first guess, with rates zero within ``rates_noise``.
-    A row whose estimate is lost, no finite number left, begins again in this way.
+    A row whose estimate is lost, 1e6 of any state away or uncertain by as much, begins again in this way.
 
     Parameters
     ----------

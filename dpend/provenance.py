@@ -35,9 +35,12 @@ def fingerprint(*sources: Path) -> str:
 def versions() -> dict[str, str]:
     """Give the versions of Python, of the machine's architecture, and of the libraries that results depend on."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
-    for library in _LIBRARIES:
-        try:
-            found[library] = metadata.version(library)
-        except metadata.PackageNotFoundError:
-            found[library] = "not installed"
-    return found
+    return found | {library: _version(library) for library in _LIBRARIES}
+
+
+@cache  # looking it up reads files, and a study asks once a job
+def _version(library: str) -> str:
+    try:
+        return metadata.version(library)
+    except metadata.PackageNotFoundError:
+        return "not installed"

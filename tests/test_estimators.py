@@ -11,7 +11,7 @@ from rigs import endless, whole
 from scipy import stats
 
 import dpend
-from controllers import EKF, LQR, UKF, Constant, Predictor, WithEstimator
+from controllers import EKF, LQR, UKF, Constant, Differences, Predictor, WithEstimator
 from dpend import Stepper, discretize, linearize
 from dpend.params import Array
 from dpend.rig import Rig
@@ -30,6 +30,21 @@ def followed(estimator: EKF | UKF, y: Array, u: Array) -> tuple[Array, Array]:
         follow(row, given)
         given = u[k]
     return belief()
+
+
+# ---------------------------------------------------------------------------------------------------------- differences
+
+
+def test_first_differences_are_the_rates_of_uniform_motion_after_one_sample() -> None:
+    rates = np.array([[0.5, -1.0, 2.0], [0.0, 3.0, -0.25]])
+    estimator = Differences(RIG)
+    for _ in range(2):  # fresh memory for each run
+        follow = estimator.follow(2)
+        for k in range(4):
+            positions = 0.1 + rates * k * RIG.sample_time
+            estimate = follow(np.concatenate([positions, np.full((2, 3), np.nan)], axis=1), np.zeros(2))
+            assert_array_equal(estimate[:, :3], positions)
+            assert_allclose(estimate[:, 3:], 0 * rates if k == 0 else rates, atol=1e-12)
 
 
 # ---------------------------------------------------------------------------------------------------------- the filters
@@ -116,6 +131,21 @@ def test_noise_is_taken_from_the_rig(kind: type[EKF] | type[UKF]) -> None:
     assert_allclose(estimator.measurement_noise, [rounding[0], np.hypot(rounding[1], 1e-3), rounding[2]])
     assert_allclose(estimator.process_noise[0], np.hypot(3.0, 0.01 * 2 * 9.81))
     assert_allclose(kind(RIG).measurement_noise, 1e-6)
+
+
+@pytest.mark.parametrize("kind", FILTERS)
+def test_numbers_without_bound_are_not_divided_by_each_other(
+    kind: type[EKF] | type[UKF], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = 1e85 * np.array([1.0, 1e-12, 1e-17, np.nan, 0, 0])  # a covariance of rank one, singular beside any noise
+    monkeypatch.setattr(
+        kind, "_move", lambda self, n: lambda mean, *_: (mean, np.tile(np.outer(line, line), (n, 1, 1)))
+    )
+    follow = kind(RIG).follow(2)
+    measured = np.full((2, 6), 0.1)
+    for _ in range(3):
+        estimate = follow(measured, np.zeros(2))
+        assert_allclose(estimate, np.pad(measured[:, :3], ((0, 0), (0, 3))))
 
 
 @pytest.mark.parametrize("kind", FILTERS)
