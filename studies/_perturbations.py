@@ -439,11 +439,11 @@ _FINE = {"resolution": encoders(2048)}
 
 SENSORS: tuple[Axis, ...] = (
     Axis(
-        name="noise", group="sensors", levels=(0.001, 0.002, 0.005, 0.01, 0.02, 0.05),
+        name="noise", group="sensors", levels=(0.002, 0.005, 0.01, 0.02, 0.05),
         changes=lambda levels: {"sensor_noise": levels * _POSITIONS}, words="noise of positions, σ (m, rad)",
     ),
     Axis(
-        name="encoders", group="sensors", levels=tuple(1 / counts for counts in (4096, 2048, 1024, 512, 256, 128)),
+        name="encoders", group="sensors", levels=tuple(1 / counts for counts in (1024, 256, 128, 64, 32)),
         changes=lambda levels: {"resolution": encoders(1 / levels)}, words="counts a turn",
     ),
     Axis(
@@ -451,8 +451,8 @@ SENSORS: tuple[Axis, ...] = (
         changes=lambda levels: _FINE | {"sensor_delay": round(float(levels))}, words="delay (samples of 20 ms)",
     ),
     Axis(
-        name="lag", group="sensors", levels=(0.2, 0.4, 0.6, 0.8),
-        changes=lambda levels: _FINE | {"actuator_lag": float(lag(1 - levels))}, words="force missing after a sample",
+        name="lag", group="sensors", levels=(0.4, 0.6, 0.7, 0.8),
+        changes=lambda levels: _FINE | {"actuator_lag": float(lag(1 - levels))}, words="force missing (1 - k)",
     ),
 )  # fmt: skip
 """Noise of the measured positions; rounding by encoders; and, with encoders of 2048 counts, delay and a slow force."""

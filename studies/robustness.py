@@ -437,7 +437,8 @@ def _plot_axes(rows: list[Row], task: Task) -> Figure:
         if group == "model":
             row_of_axes[0].xaxis.set_major_formatter(PercentFormatter(1.0))
         if group == "pulses":
-            row_of_axes[0].set_xscale("symlog", linthresh=0.02)
+            row_of_axes[0].set_xscale("symlog", linthresh=0.02, linscale=0.4)
+            row_of_axes[0].set_xlim(-0.003, 1.15)
             row_of_axes[0].set_xticks((0, 0.02, 0.05, 0.1, 0.2, 0.5, 1))
             row_of_axes[0].xaxis.set_major_formatter(FuncFormatter(lambda level, _: f"{level:g}"))
             row_of_axes[0].minorticks_off()
@@ -494,7 +495,8 @@ def _plot_sensors(rows: list[Row]) -> Figure:
             for view in views(of):
                 own = _chosen(rows, controller=name, task=task, part="sensors", axis=of.name, view=view)
                 own.sort(key=lambda row: row.level)
-                places = (
+                aside = 0.05 * (list(VIEWS).index(view) - 2) * (0.2 if of.name == "lag" else 1)
+                places = aside + (
                     np.arange(len(own), dtype=np.float64)
                     if of.name in ("noise", "encoders")
                     else np.array([row.level for row in own])

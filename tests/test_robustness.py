@@ -1,0 +1,267 @@
+"""Everyone meets the same perturbations, they are what they say, and the scores are between never and always."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import dpend
+from controllers import LQR, BangBang, Zero
+from dpend import Stepper
+from dpend.params import Array
+from studies import _perturbations as perturbations
+from studies import _study, robustness
+from studies._entrants import RIG
+from studies._perturbations import AXES, FRICTIONS, GROUPS, NOMINAL, PARAMETERS, SENSORS, UNCERTAIN, Pulses, task_of
+
+TASK = task_of("balance", 1.0)
+BY_NAME = {axis.name: axis for axis in AXES}
+
+
+class Told:
+    """A law that keeps what it measured and gives no force."""
+
+    def __init__(self) -> None:
+        self.seen: list[Array] = []
+
+    def start(self, n: int, rng: np.random.Generator) -> Any:
+        def act(t: float, y: Array) -> Array:
+            self.seen.append(y.copy())
+            return np.zeros(n)
+
+        return act
+
+
+# ------------------------------------------------------------------------------------------------- what everyone meets
+
+
+@pytest.mark.parametrize("name", ["velocity noise", "force noise", "pulses"])
+def test_those_who_meet_fewer_starts_meet_the_first_with_the_same_noise_and_pushes(name: str) -> None:
+    few, many = Told(), Told()
+    task = task_of("swing-up", 0.5)
+    for law, starts in ((few, 2), (many, 5)):
+        perturbations.meet(law, task, BY_NAME[name], starts, seed=3)
+    rows = 2 * len(BY_NAME[name].levels)
+    assert_array_equal(np.stack(few.seen), np.stack(many.seen)[:, :rows])
+
+
+def test_all_levels_of_a_start_begin_at_the_same_state_and_another_seed_elsewhere() -> None:
+    first = [Told(), Told()]
+    for law, seed in zip(first, (0, 1), strict=True):
+        perturbations.meet(law, TASK, BY_NAME["response"], 3, seed)
+    levels = len(BY_NAME["response"].levels)
+    one, other = (law.seen[0].reshape(3, levels, 6) for law in first)
+    assert_array_equal(one, np.broadcast_to(one[:, :1], one.shape))
+    assert not np.isin(one[..., 1], other[..., 1]).any()
+
+
+def test_the_nominal_level_is_a_plain_simulation() -> None:
+    task = task_of("balance")
+    starts = task.starts(np.random.default_rng([5, 1]), 20, RIG)
+    law = BangBang(LQR(RIG), 40.0)
+    plain = dpend.simulate_many(RIG, law, starts, task=task, seed=5).success
+    assert 0 < plain.mean() < 1
+    assert_array_equal(perturbations.meet(law, task, NOMINAL, 20, 5)[:, 0], plain)
+    # An axis at its nominal level changes nothing either.
+    for axis in (*AXES, *SENSORS):
+        rig = RIG.replace(**axis.changes(np.array(1e-12 if axis.name == "encoders" else 0.0)))
+        x, forces = np.array([[0.1, 0.2, -0.3, 0.4, 0.5, -0.6]]), np.array([7.0])
+        moved, same = Stepper(rig, 1), Stepper(RIG, 1)
+        moved.reset(x)
+        same.reset(x)
+        assert_allclose(moved.step(forces), same.step(forces), rtol=0, atol=2e-3 if axis.group == "sensors" else 1e-12)
+
+
+def test_plants_are_the_same_for_those_who_meet_fewer() -> None:
+    many = perturbations.plants(64, seed=2)
+    for name, values in perturbations.plants(16, seed=2).items():
+        assert_array_equal(values, many[name][:16])
+
+
+# ---------------------------------------------------------------------------------------- perturbations are as they say
+
+
+def test_a_response_of_k_moves_the_force_by_k_of_what_is_missing() -> None:
+    response = np.array([0.1, 0.4, 0.9, 1.0])
+    stepper = Stepper(RIG.replace(actuator_lag=perturbations.lag(response)), 4)
+    stepper.reset(np.zeros((4, 6)))
+    force = np.zeros(4)
+    for wanted in (10.0, -20.0, 5.0):
+        stepper.step(np.full(4, wanted))
+        force = force + response * (wanted - force)
+        assert_allclose(stepper.force, force, rtol=1e-12)
+
+
+def test_one_wrong_parameter_leaves_the_others_where_they_were() -> None:
+    believed = perturbations._resolved(RIG.params)
+    for name in PARAMETERS:
+        found = perturbations._resolved(RIG.replace(**BY_NAME[name].changes(np.array(0.25))).params)
+        assert found == pytest.approx(believed | {name: 1.25 * believed[name]})
+
+
+def test_frictions_are_never_negative_and_end_at_their_greatest() -> None:
+    for name, most in FRICTIONS.items():
+        assert min(BY_NAME[name].levels) > 0
+        assert BY_NAME[name].levels[-1] == pytest.approx(most)
+
+
+def test_pulses_are_apart_within_the_run_and_as_large_as_the_level() -> None:
+    pulses = Pulses(50, seed=0)
+    moments = np.sort(pulses.moments.reshape(50, 6), axis=1)
+    assert np.diff(moments, axis=1).min() >= 1.0
+    assert 1.0 <= moments.min() <= moments.max() <= 9.0
+    push = pulses.pushing(np.array([0.5, 1.0]))
+    t = pulses.moments[7, 2, 0]  # a push on link 2 at its height, all others at least ten widths away
+    on_links = push(float(t)).reshape(50, 2, 3)[7]
+    assert_allclose(on_links, np.outer([0.5, 1.0], [0, 0, 5.0 * pulses.signs[7, 2, 0]]), atol=1e-9)
+
+
+def test_plants_stay_within_a_fifth_and_cover_it_evenly() -> None:
+    n = 256
+    drawn = perturbations.plants(n, seed=1)
+    known = {name: float(getattr(RIG.params, name)) for name in ("cart_mass", "mass1", "mass2", "length1", "length2")}
+    shares = {name: (drawn[name] / value - 0.8) / 0.4 for name, value in known.items()}
+    shares["force_limit"] = (drawn["force_limit"] / 40.0 - 0.8) / 0.4
+    shares |= {f"com{k}": (drawn[f"com{k}"] / drawn[f"length{k}"] - 0.4) / 0.2 for k in "12"}
+    shares |= {name: drawn[name] / most for name, most in FRICTIONS.items()}
+    assert set(shares) == set(drawn) == set(UNCERTAIN)
+    for share in shares.values():  # of a Sobol sequence each interval of 1/n holds exactly one
+        assert_array_equal(np.sort(np.floor(share * n * (1 - 1e-12))), np.arange(n))
+
+
+def test_the_plants_that_are_met_are_those_that_were_drawn() -> None:
+    met = perturbations.meet_plants(Zero(), task_of("balance", 0.02), 16, 2, seed=0)
+    assert_array_equal(met, np.ones((16, 2)))  # nobody falls in one sample
+
+
+def test_behind_sensors_the_state_is_measured_rates_too_or_positions_alone() -> None:
+    (noise,) = (axis for axis in SENSORS if axis.name == "noise")
+    positions, exact = [], []
+    for view, seen in (("differences", positions), ("rates measured", exact)):
+        law = Told()
+        perturbations.meet_sensors(law, task_of("swing-up", 0.1), noise, view, 3, seed=0)
+        seen += law.seen[:2]  # at the first level
+    assert (positions[0][:, 3:] == 0).all()
+    assert_array_equal(positions[1][:, 3:], (positions[1] - positions[0])[:, :3] / RIG.sample_time)
+    assert_array_equal(positions[1][:, :3], exact[1][:, :3])  # the same noise
+    stepper = Stepper(RIG, 3)
+    stepper.reset(task_of("swing-up").starts(np.random.default_rng([0, 1]), 3, RIG))
+    assert_array_equal(exact[1][:, 3:], stepper.step(np.zeros(3))[:, 3:])
+
+
+# --------------------------------------------------------------------------------------------------------------- scores
+
+
+def outcomes(value: float | Array, starts: int = 20) -> dict[str, Array]:
+    """Give outcomes with the same success everywhere."""
+    return {axis.name: np.broadcast_to(value, (starts, len(axis.levels))) for axis in (NOMINAL, *AXES)}
+
+
+def test_who_never_fails_scores_one_and_who_always_fails_scores_nought() -> None:
+    assert perturbations.score(outcomes(1.0)).share == perturbations.realaigym(outcomes(1.0)) == 1.0
+    assert perturbations.score(outcomes(0.0)).share == perturbations.realaigym(outcomes(0.0)) == 0.0
+    assert perturbations.score(perturbations.measure(Zero(), "balance", starts=2)).share == 0.0
+
+
+def test_the_score_weighs_the_six_axes_alike_and_leaves_the_nominal_level_out() -> None:
+    met = outcomes(0.0) | {"delay": np.ones((20, 2)), NOMINAL.name: np.ones((20, 1))}
+    assert perturbations.score(met).share == pytest.approx(1 / 6)
+    assert len(GROUPS) == 6
+    # RealAIGym counts the nominal level as one of 21 where it has it.
+    assert perturbations.realaigym(met) == pytest.approx((3 / 21 + 1) / 6)
+
+
+def test_starts_that_differ_widen_the_interval_of_the_score() -> None:
+    half = np.repeat([[0.0], [1.0]], 10, axis=0)
+    alike = outcomes(0.0) | {name: np.ones((20, len(BY_NAME[name].levels))) for name in ("delay", "pulses", "response")}
+    spread, narrow = perturbations.score(outcomes(half)), perturbations.score(alike)
+    assert spread.share == narrow.share == pytest.approx(0.5)
+    assert spread.high - spread.low > 0.4 > 0.2 > narrow.high - narrow.low
+
+
+def test_a_majority_decides_a_setting_and_pulses_weaker_than_theirs_do_not_count() -> None:
+    met = outcomes(0.0)
+    met["pulses"] = np.repeat([[0.0, 0, 0.6, 0.6, 0.4, 0.4]], 20, axis=0)
+    assert perturbations.realaigym(met) == pytest.approx(0.5 / 6)
+
+
+# ------------------------------------------------------------------------------------------------------------ the study
+
+
+def table(met: dict[str, Array], controller: str = "LQR") -> list[robustness.Row]:
+    """Give the rows of outcomes."""
+    axes = {axis.name: axis for axis in (NOMINAL, *AXES)}
+    return [
+        row
+        for name, of in met.items()
+        for row in robustness._rows(robustness.Case(controller, "balance", "axes", name), axes[name].levels, of.T)
+    ]
+
+
+def test_the_table_keeps_every_start() -> None:
+    rng = np.random.default_rng(0)
+    met = {name: (rng.random(of.shape) < 0.7).astype(float) for name, of in outcomes(0.0).items()}
+    found = robustness.outcomes_of(table(met), "LQR", "balance")
+    for name, of in met.items():
+        assert_array_equal(found[name], of)
+    assert robustness.score(table(met), "LQR", "balance") == perturbations.score(met)
+    with pytest.raises(KeyError, match=re.escape("The table says nothing of 'SDRE' at the task 'balance'.")):
+        robustness.score(table(met), "SDRE", "balance")
+
+
+def test_success_breaks_where_half_of_the_starts_fail_on_either_side() -> None:
+    met = outcomes(1.0) | {"com1": np.repeat([[0.0, 0, 0, 1, 1, 1]], 20, axis=0)}
+    axis = BY_NAME["com1"]
+    assert 0 < robustness.breaking(met, axis, -1).level < 0.08
+    assert robustness.breaking(met, axis, 1).level == np.inf
+    assert robustness.weakest(met)[:2] == ("com1", -1)
+    assert robustness.breaking(outcomes(0.0), axis).level == -np.inf
+
+
+def test_a_controller_of_your_own_appears_in_every_part(tmp_path: Any) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "class ByHand:\n    def start(self, n, rng):\n        return lambda t, y: y @ [-1, 150, -165, -2.5, 7, -29]\n"
+    )
+    options = robustness.Options(controller=(f"{file}:ByHand",), only=("LQR",), quick=True, starts=2)
+    jobs = [job for job in robustness.jobs(options) if job.setting.startswith("ByHand + balance")]
+    assert {job.setting.split(" + ")[2] for job in jobs} == {"axes", "plants", "sensors"}
+    assert all(job.source for job in jobs)
+    pulses = next(job for job in jobs if "pulses" in job.setting)
+    assert [row.controller for row in robustness.run(pulses, options).rows] == ["ByHand"] * 6
+
+
+def test_those_that_take_long_meet_less_and_nmpc_nothing_unless_asked() -> None:
+    plain, whole = robustness.Options(), robustness.Options(all=True)
+    names = [entrant.name for entrant in plain.taking_part("swing-up")]
+    assert "NMPC" not in names
+    assert "NMPC" in [entrant.name for entrant in whole.taking_part("swing-up")]
+    assert "NMPC" in [entrant.name for entrant in robustness.Options(only=("NMPC",)).taking_part("balance")]
+    planner, lqr = plain.entrant("iLQR MPC"), plain.entrant("LQR")
+    assert (plain.starts_of(planner), plain.starts_of(lqr)) == (5, 100)
+    assert (plain.plants_of(planner), plain.plants_of(lqr)) == (32, 256)
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"starts": 1}, "--starts must be at least 2; got 1."),
+        ({"slow_starts": 0}, "--slow-starts must be at least 2; got 0."),
+        ({"plants": 100}, "--plants must be a power of two, at least 16; got 100."),
+    ],
+)
+def test_what_cannot_be_is_refused(told: dict[str, int], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}$"):
+        robustness.Options(**told)  # type: ignore[arg-type]
+
+
+def test_the_study_of_lqr_has_more_runs_than_realaigyms() -> None:
+    options = robustness.Options(only=("LQR",))
+    axes = [case for case, _ in robustness.cases(options) if case.part == "axes" and case.task == "balance"]
+    levels = {axis.name: len(axis.levels) for axis in (NOMINAL, *AXES)}
+    assert sum(levels[case.axis] for case in axes) * options.starts > 722
+    assert _study.slug(robustness.jobs(options)[0]) == "LQR_+_balance_+_axes_+_nominal_+_--0"
