@@ -144,7 +144,7 @@ AXES: tuple[Axis, ...] = (
     ),
     Axis(
         name="response", group="response", levels=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
-        changes=lambda levels: {"actuator_lag": lag(1 - levels)}, words="force missing after a sample, 1 - k",
+        changes=lambda levels: {"actuator_lag": lag(1 - levels)}, words="force missing after a sample, 1 − k",
     ),
     Axis(
         name="delay", group="delay", levels=(1.0, 2.0),
@@ -152,7 +152,7 @@ AXES: tuple[Axis, ...] = (
     ),
     Axis(
         name="pulses", group="pulses", levels=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
-        words="pulses, share of the largest", pulses=True, theirs=0.1,
+        words="pulses, share of 33 N and 5 N m", pulses=True, theirs=0.1,
     ),
 )  # fmt: skip
 """RealAIGym's: one parameter wrong at a time, noise of measured rates, noise of the force, slow force, late
@@ -402,7 +402,7 @@ def meet_plants(controller: Controller, task: Balance | SwingUp, n: int, starts:
     n : int
         How many plants, a power of two; fewer are the first of more.
     starts : int
-        Starts on each plant, the same on all.
+        Starts on each plant, others on each.
     seed : int
         What plants and starts are drawn from.
 
@@ -412,7 +412,7 @@ def meet_plants(controller: Controller, task: Balance | SwingUp, n: int, starts:
         One where it succeeded, else zero.
     """
     rig = RIG.replace(**{name: np.repeat(values, starts) for name, values in plants(n, seed).items()})
-    x0 = np.tile(_starts(task, starts, seed), (n, 1))
+    x0 = _starts(task, n * starts, seed)  # those of the first plant come first
     return dpend.simulate_many(rig, controller, x0, task=task, seed=seed).success.reshape(n, starts).astype(np.float64)
 
 
@@ -452,7 +452,7 @@ SENSORS: tuple[Axis, ...] = (
     ),
     Axis(
         name="lag", group="sensors", levels=(0.4, 0.6, 0.7, 0.8),
-        changes=lambda levels: _FINE | {"actuator_lag": float(lag(1 - levels))}, words="force missing (1 - k)",
+        changes=lambda levels: _FINE | {"actuator_lag": float(lag(1 - levels))}, words="force missing (1 − k)",
     ),
 )  # fmt: skip
 """Noise of the measured positions; rounding by encoders; and, with encoders of 2048 counts, delay and a slow force."""

@@ -28,7 +28,7 @@ from rich.table import Table
 from dpend.params import Array
 
 from . import _entrants, _study
-from ._entrants import ENTRANTS, RIG, Entrant, Task
+from ._entrants import ENTRANTS, RIG, Entrant, Style, Task, styles
 from ._intervals import Crossing, Rate, Tail, crossing, wilson, worst_cases
 from ._perturbations import (
     AXES,
@@ -58,7 +58,7 @@ class Options(_entrants.Options):
     """What can be told on the command line."""
 
     starts: int = 100
-    """Starts of each setting of the six axes, and a fifth of them of each setting of the sensors."""
+    """Starts of each setting of the six axes, and a tenth of them of each setting of the sensors."""
     slow_starts: int = 5
     """Starts for those that take long."""
     plants: int = 256
@@ -177,7 +177,7 @@ def run(job: Job, options: Options) -> Result:
     if case.part == "axes":
         met = meet(controller, what, axis, starts, options.seed)
     else:
-        starts = -(-starts // 5) if _fast(entrant) else starts
+        starts = -(-starts // 10) if _fast(entrant) else starts
         met = meet_sensors(controller, what, axis, case.view, starts, options.seed)
     return Result(_rows(case, axis.levels, met.T))
 
@@ -309,9 +309,7 @@ def on_plants(rows: list[Row], controller: str, task: Task) -> tuple[Rate, Tail]
 # ------------------------------------------------------------------------------------------------------------- figures
 
 
-_STYLES = {entrant.name: entrant.style for entrant in ENTRANTS}
 _LEARNED = {entrant.name for entrant in ENTRANTS if entrant.policy}
-_YOURS = ("#7F3C8D", "h", "-")
 _VIEW_STYLES = {
     "rates measured": ("#000000", "X", ":"),
     "differences": ("#D55E00", "s", "--"),
@@ -321,10 +319,9 @@ _VIEW_STYLES = {
 }
 
 
-def _present(rows: list[Row], task: Task, part: str = "axes") -> list[str]:
-    """Give who took part, in the order in which they are always named, a user's own last."""
-    found = list(dict.fromkeys(row.controller for row in _chosen(rows, task=task, part=part)))
-    return [name for name in _STYLES if name in found] + [name for name in found if name not in _STYLES]
+def _present(rows: list[Row], task: Task, part: str = "axes") -> dict[str, Style]:
+    """Give who took part, in the order in which they are always named, and how each is drawn."""
+    return styles(row.controller for row in _chosen(rows, task=task, part=part))
 
 
 def plot(rows: list[Row], traces: Traces) -> dict[str, Figure]:
@@ -366,7 +363,7 @@ def _heat_maps(
 
 def _plot_overview(rows: list[Row], tasks: list[Task]) -> Figure:
     """Draw who succeeds on the nominal rig, along each axis, and on plants wrong in everything, %."""
-    names: dict[Task, list[str]] = {task: _present(rows, task) for task in tasks}
+    names: dict[Task, list[str]] = {task: list(_present(rows, task)) for task in tasks}
     columns = ["nominal", *GROUPS, "score", "all wrong, mean", "all wrong, worst tenth"]
     values: dict[Task, Array] = {}
     for task in tasks:
@@ -382,7 +379,7 @@ def _plot_overview(rows: list[Row], tasks: list[Task]) -> Figure:
 
 def _plot_parameters(rows: list[Row], tasks: list[Task]) -> Figure:
     """Draw the least success over the errors of each single parameter, %."""
-    names: dict[Task, list[str]] = {task: _present(rows, task) for task in tasks}
+    names: dict[Task, list[str]] = {task: list(_present(rows, task)) for task in tasks}
     single = [axis.name for axis in AXES if axis.group == "model"]
     values: dict[Task, Array] = {}
     for task in tasks:
@@ -402,7 +399,7 @@ def _curves(rows: list[Row], name: str, task: Task, group: str) -> tuple[Array, 
     return np.array(levels), [rate(at[level]) for level in levels]
 
 
-def _draw(axis: Axes, levels: Array, rates: list[Rate], style: tuple[str, str, object], label: str) -> None:
+def _draw(axis: Axes, levels: Array, rates: list[Rate], style: Style, label: str) -> None:
     colour, marker, line = style
     error = np.array([[of.share - of.low, of.high - of.share] for of in rates]).T
     _, _, bars = axis.errorbar(
@@ -431,7 +428,7 @@ def _plot_axes(rows: list[Row], task: Task) -> Figure:
     for group, row_of_axes in zip(GROUPS, axes, strict=True):
         for side, axis in zip(sides, row_of_axes, strict=True):
             for name in side:
-                _draw(axis, *_curves(rows, name, task, group), _STYLES.get(name, _YOURS), name)
+                _draw(axis, *_curves(rows, name, task, group), names[name], name)
             axis.set_xlabel(words[group], fontsize=8)
             _shares_up(axis)
         if group == "model":
@@ -459,10 +456,10 @@ def _plot_plants(rows: list[Row], tasks: list[Task]) -> Figure:
     for (left, right), task in zip(axes, tasks, strict=True):
         names = _present(rows, task, "plants")
         for place, name in enumerate(names):
-            colour, marker, line = _STYLES.get(name, _YOURS)
+            colour, marker, line = names[name]
             own = _chosen(rows, controller=name, task=task, part="plants")
             shares = np.sort([row.successes / row.runs for row in own])
-            left.plot((np.arange(len(shares)) + 0.5) / len(shares), shares, color=colour, ls=line, lw=1.2)
+            left.plot((np.arange(len(shares)) + 0.5) / len(shares), shares, color=colour, ls=line, lw=1.2, ds="steps")
             mean, tail = on_plants(rows, name, task)
             for value, filled in ((mean, True), (Rate(*tail[:3]), False)):
                 right.errorbar(
@@ -487,7 +484,7 @@ def _plot_plants(rows: list[Row], tasks: list[Task]) -> Figure:
 
 def _plot_sensors(rows: list[Row]) -> Figure:
     """Draw success against what is wrong with the sensors, for two controllers a task: a column an axis."""
-    shown = [(name, task) for task in TASKS for name in _present(rows, task, "sensors")[:2]]
+    shown = [(name, task) for task in TASKS for name in list(_present(rows, task, "sensors"))[:2]]
     figure = Figure(figsize=(7.0, 0.9 + 1.45 * len(shown)), layout="constrained")
     axes = figure.subplots(len(shown), len(SENSORS), sharey=True, sharex="col", squeeze=False)
     for (name, task), row_of_axes in zip(shown, axes, strict=True):
@@ -517,7 +514,7 @@ def _plot_sensors(rows: list[Row]) -> Figure:
 # ------------------------------------------------------------------------------------------------------------- summary
 
 
-def summary(rows: list[Row]) -> RenderableType:
+def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table: scores, break points, plants, sensors."""
     return Group(*(table for table in (_scores(rows), _breaks(rows), _plants(rows), _sensors(rows)) if table.row_count))
 
