@@ -129,10 +129,7 @@ def smoothness_metrics(
     With :math:`q = e^{-h/\tau}` the lag's error :math:`e_k = q\,e_{k-1} + u_k - u_{k-1}`, :math:`e_0 = 0`, decays
     within a sample, so :math:`\int\dot v^2 dt = \frac{1 - q^2}{2\tau}\sum_k e_k^2` exactly.
 
-    The spectrum is that of the signal followed by its own reflection, which has no jump where it closes:
-    :math:`u(t) = c_0 + 2\sum_k c_k\cos(\pi k t/T)` with
-    :math:`c_k = \frac1n\,\mathrm{sinc}\frac{k}{2n}\,\sum_j u_j\cos\frac{\pi k(2j + 1)}{2n}` for the staircase, and
-    :math:`\frac1T\int u^2 dt = c_0^2 + 2\sum_k c_k^2`; line :math:`k` lies at :math:`k/2T`.
+    The spectrum is that of :func:`power_spectrum`.
 
     Sources: ``caps_sm``: S. Mysore et al., *Regularizing Action Policies for Smooth Control with Reinforcement
     Learning*, 2021, with amplitudes and frequencies as their program spaces them (:math:`2 f_i/f_s` from 0 to 1 in
@@ -154,6 +151,51 @@ def smoothness_metrics(
             if n > 1:
                 measured["std_step"][block] = np.diff(held, axis=1).std(axis=1)
     return measured
+
+
+def power_spectrum(
+    u: Array, sample_time: float, force_limit: float | Array, *, highest: float | None = None
+) -> tuple[Array, Array]:
+    r"""Give the one-sided power spectral density of held force signals in units of :math:`u_\max`.
+
+    Parameters
+    ----------
+    u : ndarray (N, T)
+        Applied forces, N, of runs of one length.
+    sample_time : float
+        s.
+    force_limit : float or (N,)
+        :math:`u_\max`, N; infinite for none.
+    highest : float, optional
+        Highest frequency, Hz; left out, half the sampling rate.  A staircase has power above it too.
+
+    Returns
+    -------
+    frequency : ndarray (K,)
+        :math:`k/2T` for :math:`k \ge 1`, Hz.
+    density : ndarray (N, K)
+        :math:`4T c_k^2/u_\max^2`, 1/Hz: summed over all :math:`k`, times :math:`1/2T`, the variance of
+        :math:`u/u_\max` over the run.
+
+    Raises
+    ------
+    ValueError
+        If the signals are not of that shape, or not of one length.
+
+    Notes
+    -----
+    It is the spectrum of the signal followed by its own reflection, which has no jump where it closes:
+    :math:`u(t) = c_0 + 2\sum_k c_k\cos(\pi k t/T)` with
+    :math:`c_k = \frac1n\,\mathrm{sinc}\frac{k}{2n}\,\sum_j u_j\cos\frac{\pi k(2j + 1)}{2n}` for the staircase, and
+    :math:`\frac1T\int u^2 dt = c_0^2 + 2\sum_k c_k^2`; line :math:`k` lies at :math:`k/2T`.
+    """
+    u, _, scale = _checked(u, force_limit)
+    if not np.isfinite(u).all():
+        raise ValueError("Expected force signals of one length without NaN; take runs that lasted equally long.")
+    seconds = u.shape[1] * sample_time
+    lines = np.arange(1, _lines_up_to(0.5 / sample_time if highest is None else highest, seconds) + 1)
+    amplitudes = _amplitudes(u, lines) / scale[:, None]
+    return lines / (2 * seconds), 4 * seconds * amplitudes**2
 
 
 def _checked(u: npt.ArrayLike, force_limit: float | Array) -> tuple[Array, Array, Array]:
@@ -189,15 +231,24 @@ def _slew(u: Array, sample_time: float, lag: float) -> Array:
     return np.sqrt(squares * (1 - rest * rest) / (2 * lag) / (u.shape[1] * sample_time))
 
 
-def _spectral_share(u: Array, sample_time: float, cutoff: float) -> Array:
-    """Give the share of the power of staircases ``(n, T)`` above a frequency in Hz."""
+def _lines_up_to(frequency: float, seconds: float) -> int:
+    """Count the lines of a spectrum up to a frequency in Hz; 1e-9 of a line keeps one that lies there."""
+    return math.floor(2 * seconds * frequency + 1e-9)
+
+
+def _amplitudes(u: Array, lines: npt.NDArray[np.int64]) -> Array:
+    """Give the size of the cosine coefficients of staircases ``(n, T)`` at some lines; line 0 is the mean."""
     n = u.shape[1]
-    lines = np.arange(1, math.floor(2 * n * sample_time * cutoff + 1e-9) + 1)
     spectrum = np.abs(np.fft.rfft(np.hstack([u, u[:, ::-1]]), axis=1)) / (2 * n)
     place = lines % (2 * n)
-    slow = spectrum[:, np.minimum(place, 2 * n - place)] * np.sinc(lines / (2 * n))
+    return spectrum[:, np.minimum(place, 2 * n - place)] * np.sinc(lines / (2 * n))
+
+
+def _spectral_share(u: Array, sample_time: float, cutoff: float) -> Array:
+    """Give the share of the power of staircases ``(n, T)`` above a frequency in Hz."""
+    slow = _amplitudes(u, np.arange(_lines_up_to(cutoff, u.shape[1] * sample_time) + 1))
     power = (u * u).mean(axis=1)
-    below = spectrum[:, 0] ** 2 + 2 * (slow * slow).sum(axis=1)
+    below = slow[:, 0] ** 2 + 2 * (slow[:, 1:] ** 2).sum(axis=1)
     share = 1 - np.divide(below, power, out=np.ones(len(u)), where=power > 0)
     return np.clip(share, 0.0, 1.0)
 

@@ -1,4 +1,4 @@
-"""Confidence intervals: of success rates, of the level at which success falls to a share, and of the worst cases."""
+"""Confidence intervals: of success rates, of medians, of the level where success falls, and of the worst cases."""
 
 from __future__ import annotations
 
@@ -60,6 +60,37 @@ def over_seeds(successes: npt.ArrayLike, n: int) -> Rate:
     half = stats.t.ppf(0.975, len(counts) - 1) * np.std(counts / n, ddof=1) / np.sqrt(len(counts))
     low, high = max(0.0, pooled.share - half), min(1.0, pooled.share + half)
     return Rate(pooled.share, min(pooled.low, float(low)), max(pooled.high, float(high)))
+
+
+class Median(NamedTuple):
+    """A median with its 95 % confidence interval; not a number where there is nothing to take it of."""
+
+    median: float
+    low: float
+    high: float
+
+
+def median(values: npt.ArrayLike) -> Median:
+    """Give the median of values with the interval between two of them that holds the true one, whatever they are like.
+
+    Parameters
+    ----------
+    values : array_like (n,)
+        One number a run or training.
+
+    Returns
+    -------
+    Median
+        How many values lie below the true median is binomial, so order statistics enclose it with at least 95 %; the
+        bootstrap of a median comes to the same and draws lots for it.  Of fewer than six values the interval is from
+        the least to the greatest, which hold it with probability :math:`1 - 2^{1 - n}` only.
+    """
+    ordered = np.sort(np.asarray(values, dtype=np.float64))
+    n = len(ordered)
+    if n == 0:
+        return Median(np.nan, np.nan, np.nan)
+    outside = max(int(stats.binom.ppf(0.025, n, 0.5)) - 1, 0)  # the interval leaves out so many at each end
+    return Median(float(np.median(ordered)), float(ordered[outside]), float(ordered[n - 1 - outside]))
 
 
 class Crossing(NamedTuple):

@@ -1,0 +1,645 @@
+"""How smooth is each controller's force, and what does smoothness cost?
+
+Method: every controller balances gustafsson2016 from λ = 0.1 and 0.3 for 6 s and swings it up from hanging in 10 s,
+with perfect sensors and with noise of 0.002 (m, rad, m/s, rad/s) on every measured state; all meet the same starts and
+the same noise, planners the first part of them.  Measured is the force, over the whole of the runs that succeed, since
+one that falls early has figures of its fall; beside it stand all runs, and the ratio to one reference (LQR, TVLQR, or
+the same controller without a device) on the starts that both save.  Medians over starts with 95 % order-statistic
+intervals; success with Wilson's.  Learned controllers are the policies that are shipped, one training of each.
+
+Then what smoothing costs at λ = 0.3: a rate limit and a low-pass around LQR, the sign of a stiff LQR and Q-learning; a
+cost on the change of force in NMPC; a² among Q-learning's features; and of the swing-up, trainings with a penalty on
+the action's rate and with CAPS (``--runs``).  A controller of yours takes part, and wears both devices:
+``--controller path.py:factory``.
+
+Finding: TODO
+"""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, PercentFormatter
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+import dpend
+from controllers import NMPC, LowPass, RateLimit
+from dpend.metrics import power_spectrum
+from dpend.params import Array
+from dpend.provenance import fingerprint
+from rl import load_policy
+
+from . import _entrants, _study
+from ._entrants import RIG, Style, styles
+from ._intervals import Rate, median, wilson
+from ._labels import place_labels
+from ._study import Job, Result, Traces
+
+TASKS: dict[str, dpend.Balance | dpend.SwingUp] = {
+    "balance 0.1": dpend.Balance(lam=0.1),
+    "balance 0.3": dpend.Balance(lam=0.3),
+    "swing-up": dpend.SwingUp(start="hanging", steps=500),
+}
+CONDITIONS = {"perfect": 0.0, "noise": 0.002}
+"""Standard deviations of the noise on every measured state."""
+
+METRICS = (
+    "variation", "slew", "switches", "saturated", "spectral_share", "effort", "travel", "peak_force", "caps_sm",
+    "std_step",
+)  # fmt: skip
+"""What is measured, as ``docs/metrics.md`` defines it; units are in ``dpend.metrics.UNITS``."""
+
+REFERENCES = {"balance 0.1": "LQR", "balance 0.3": "LQR", "swing-up": "TVLQR"}
+"""Whom the others are compared with, start by start."""
+
+
+class Device(NamedTuple):
+    """What makes a force smooth: its parameter in words, the values tried, and who wears it."""
+
+    parameter: str
+    settings: tuple[float, ...]
+    worn_by: tuple[str, ...]
+    put_on: Callable[[dpend.Controller, float], dpend.Controller]
+
+
+_WORN_BY = ("LQR", "sign of stiff LQR", "Q tuned")
+DEVICES = {
+    "rate limit": Device(
+        "rate limit (N/s)", (100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0), _WORN_BY,
+        lambda inner, rate: RateLimit(RIG, inner, rate),
+    ),
+    "low-pass": Device(
+        "low-pass corner (Hz)", (2.0, 4.0, 8.0, 16.0, 32.0), _WORN_BY,
+        lambda inner, corner: LowPass(RIG, inner, frequency=corner),
+    ),
+    "Δu cost": Device(
+        "weight of (Δu)² in NMPC (N⁻²)", (0.1, 1.0, 10.0), ("NMPC",), lambda _, weight: NMPC(RIG, rate_weight=weight)
+    ),
+}  # fmt: skip
+"""Devices that are put on a controller; the others are learned with it."""
+
+_DEVICE_TASK = "balance 0.3"
+RUNS = Path("docs/results/deep")
+"""Where deep trainings are kept, seen from the repository."""
+
+SHOWN = (
+    "LQR", "sign of stiff LQR", "Q tuned", "LSPI", "iLQR MPC", "TVLQR", "PPO swing-up", "PPO swing-up, smooth",
+    "DDPG swing-up",
+)  # fmt: skip
+"""Those whose forces and spectra are drawn, beside the user's own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(_entrants.Options):
+    """What can be told on the command line."""
+
+    starts: int = 400
+    """Starts of each task; controllers that take long meet the first part."""
+    runs: Path = RUNS
+    """Folder of the deep trainings; with --only they are left out."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.starts < 2:
+            raise ValueError(f"--starts must be at least 2; got {self.starts}.")
+
+
+class Case(NamedTuple):
+    """What a job is about: who, with which device at which setting, at what, with which sensors."""
+
+    controller: str
+    task: str
+    condition: str
+    device: str = "none"
+    setting: str = "0"
+    training: int = 0
+
+    def job(self, source: str = "") -> Job:
+        """Give the job of the case."""
+        return Job(" + ".join(self[:-1]), self.training, source)
+
+    @classmethod
+    def of(cls, job: Job) -> Case:
+        """Give the case of a job."""
+        controller, task, condition, device, setting = job.setting.split(" + ")
+        return cls(controller, task, condition, device, setting, job.repetition)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """One metric of one controller, on one task with one kind of sensors."""
+
+    controller: str
+    device: str
+    """What makes its force smooth, or none."""
+    setting: float
+    training: int
+    """Seed, of a deep training; 0 for all others."""
+    task: str
+    condition: str
+    starts: int
+    successes: int
+    metric: str
+    median: float
+    """Over the runs that succeed; not a number where none does."""
+    low: float
+    high: float
+    of_all: float
+    """Median over all runs, those that failed too."""
+    reference: str
+    """Whom it is compared with."""
+    both: int
+    """Starts that both save."""
+    ratio: float
+    """Median over those of the ratio to the reference; not a number where the reference's is zero."""
+    ratio_low: float
+    ratio_high: float
+
+
+# ------------------------------------------------------------------------------------------------------------ the work
+
+
+class Training(NamedTuple):
+    """A deep training: where its policy is, what it was made smooth by, and how strongly."""
+
+    folder: Path
+    device: str
+    strength: float
+
+
+@cache
+def trainings(runs: Path) -> list[Training]:
+    """Find the trainings that differ in what makes their force smooth and in nothing else.
+
+    Parameters
+    ----------
+    runs : Path
+        Folder with a folder each, such as ``ppo-swing-up-caps/seed-10``, of ``recipe.json`` and ``policy.npz``.
+
+    Returns
+    -------
+    list of Training
+        Of the swing-up on our plant, of each learner of which a smooth and a plain one are there; they may have
+        ended after different experience.
+    """
+    alike: dict[str, list[Training]] = {}
+    for policy in sorted(runs.glob("*/seed-*/policy.npz"), key=lambda file: (file.parts[-3], _seed(file.parent))):
+        recipe = json.loads((policy.parent / "recipe.json").read_text(encoding="utf-8"))["recipe"]
+        if recipe["env"] or recipe["task"] != "swing-up" or recipe["rig"] != RIG.to_dict():
+            continue
+        means = {"CAPS": recipe["caps"][0], "action rate": recipe["action_rate"]}
+        means["noise"] = recipe.get("sensor_noise", 0.0)
+        used = {name: weight for name, weight in means.items() if weight}
+        device, strength = ", ".join(used) or "plain training", next(iter(used.values()), 0.0)
+        aside = ("caps", "action_rate", "sensor_noise", "steps", "enough", "evaluate_every")
+        recipe = {name: value for name, value in recipe.items() if name not in aside and value}
+        alike.setdefault(json.dumps(recipe, sort_keys=True), []).append(Training(policy.parent, device, strength))
+    pairs = [group for group in alike.values() if len({found.device for found in group}) > 1]
+    return [found for group in pairs for found in group if any(other.device == "plain training" for other in group)]
+
+
+def _seed(folder: Path) -> int:
+    return int(folder.name.removeprefix("seed-"))
+
+
+def cases(options: Options) -> Iterator[tuple[Case, str]]:
+    """List what is measured, each with the source of what comes from outside; where it must be quick, some of it."""
+    for task in TASKS:
+        for entrant in options.entrants("swing-up" if task == "swing-up" else "balance"):
+            for condition in CONDITIONS:
+                yield Case(entrant.name, task, condition), entrant.source
+    for entrant in options.entrants("balance"):
+        for name, device in DEVICES.items():
+            if entrant.name in device.worn_by or (entrant.source and device.worn_by == _WORN_BY):
+                for setting in device.settings[: 1 if options.quick else None]:
+                    for condition in CONDITIONS:
+                        yield Case(entrant.name, _DEVICE_TASK, condition, name, f"{setting:g}"), entrant.source
+    for training in [] if options.only else trainings(options.runs):
+        for task in ("balance 0.1", "swing-up"):
+            for condition in CONDITIONS:
+                case = Case(
+                    training.folder.parts[-2], task, condition, training.device, f"{training.strength:g}",
+                    _seed(training.folder),
+                )  # fmt: skip
+                yield case, fingerprint(training.folder / "policy.npz")
+
+
+def jobs(options: Options) -> list[Job]:
+    """List the work: one job a case."""
+    return [case.job(source) for case, source in cases(options)]
+
+
+class Measured(NamedTuple):
+    """Runs of one case: which succeeded, the metrics of each, the first force, and the mean spectrum."""
+
+    success: npt.NDArray[np.bool_]
+    values: dict[str, Array]
+    force: Array
+    frequency: Array
+    density: Array
+
+
+@cache
+def measured(case: Case, options: Options) -> Measured:
+    """Run one case; ``--quick`` from two starts for a moment."""
+    task = replace(TASKS[case.task], steps=25) if options.quick else TASKS[case.task]
+    starts = task.starts(np.random.default_rng([options.seed, 21]), 2 if options.quick else options.starts, RIG)
+    if case.device in ("none", *DEVICES):
+        entrant = options.entrant(case.controller)
+        controller = entrant.make(RIG, task)
+        starts = starts[: entrant.runs(len(starts))]
+        if case.device in DEVICES:
+            controller = DEVICES[case.device].put_on(controller, float(case.setting))
+    else:
+        policy = load_policy(options.runs / case.controller / f"seed-{case.training}" / "policy.npz")
+        assert isinstance(policy, dpend.Controller)
+        controller = policy
+    true = RIG.replace(sensor_noise=CONDITIONS[case.condition])
+    runs = dpend.simulate_many(true, controller, starts, task=task, seed=options.seed)
+    values = runs.metrics() | runs.smoothness()
+    saved = runs.u[runs.success]
+    frequency, density = power_spectrum(saved, RIG.sample_time, RIG.force_limit)
+    return Measured(
+        runs.success,
+        {name: values[name] for name in METRICS},
+        runs.u[0, : runs.steps[0]],
+        frequency,
+        density.mean(axis=0) if len(saved) else np.full(len(frequency), np.nan),
+    )
+
+
+def run(job: Job, options: Options) -> Result:
+    """Measure one case beside its reference, on the same starts."""
+    case = Case.of(job)
+    own = measured(case, options)
+    n = len(own.success)
+    against = REFERENCES[case.task] if case.device not in DEVICES else case.controller
+    other = measured(Case(against, case.task, case.condition), options)
+    both = own.success & other.success[:n]
+    rows = []
+    for name, values in own.values.items():
+        theirs = other.values[name][:n]
+        alike = both & (theirs > 0)
+        found, ratio = median(values[own.success]), median(values[alike] / theirs[alike])
+        rows.append(
+            Row(
+                controller=case.controller,
+                device=case.device,
+                setting=float(case.setting),
+                training=case.training,
+                task=case.task,
+                condition=case.condition,
+                starts=n,
+                successes=int(own.success.sum()),
+                metric=name,
+                median=_short(found.median),
+                low=_short(found.low),
+                high=_short(found.high),
+                of_all=_short(np.median(values)),
+                reference=against,
+                both=int(both.sum()),
+                ratio=_short(ratio.median),
+                ratio_low=_short(ratio.low),
+                ratio_high=_short(ratio.high),
+            )
+        )
+    if case.device != "none" or (case.controller not in SHOWN and not job.source):
+        return Result(rows)
+    traces = {"force": own.force, "frequency": own.frequency, "density": own.density}
+    return Result(rows, {name: np.array([_short(value) for value in trace]) for name, trace in traces.items()})
+
+
+def _short(value: float | np.floating) -> float:
+    return float(f"{value:.5g}")
+
+
+# ------------------------------------------------------------------------------------------------------------- figures
+
+
+def found(rows: list[Row], metric: str, **wanted: object) -> list[Row]:
+    """Give the rows of one metric whose other columns are as wanted."""
+    return [
+        row
+        for row in rows
+        if row.metric == metric and all(getattr(row, column) == value for column, value in wanted.items())
+    ]
+
+
+def success(row: Row) -> Rate:
+    """Give the share of runs that succeeded, with its interval."""
+    return wilson(row.successes, row.starts)
+
+
+_TITLES = {"balance 0.1": "balancing, λ = 0.1", "balance 0.3": "balancing, λ = 0.3", "swing-up": "swing-up"}
+_LINES = {"perfect": "-", "noise": ":"}
+_WORDS = {"perfect": "perfect sensors", "noise": f"sensor noise {CONDITIONS['noise']:g}"}
+
+
+def plot(rows: list[Row], traces: Traces) -> dict[str, Figure]:
+    """Draw success against variation, forces and their spectra, and the devices."""
+    return {
+        "": _plot_pareto(rows, "perfect"),
+        "_noise": _plot_pareto(rows, "noise"),
+        "_forces": _plot_forces(rows, traces, "balance 0.1", 2.0),
+        "_forces_swing_up": _plot_forces(rows, traces, "swing-up", 6.0),
+        "_devices": _plot_devices(rows),
+    }
+
+
+def _plot_pareto(rows: list[Row], condition: str) -> Figure:
+    """Draw for each task success against total variation, one labelled point a controller, and the front."""
+    figure = Figure(figsize=(6.8, 8.6), layout="constrained")
+    axes = figure.subplots(len(TASKS), 1, sharex=True)
+    style = styles(_present(rows))
+    shown = [row for row in found(rows, "variation", condition=condition, device="none") if row.successes]
+    limits = [bound for row in shown for bound in (row.low, row.high)] or [0.1, 10.0]
+    axes[-1].set(xscale="log", xlim=(min(limits) / 1.6, max(limits) * 1.6))
+    axes[-1].set_xlabel("total variation of the force (force limits per second), median over runs that succeed")
+    axes[-1].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    for axis, task in zip(axes, TASKS, strict=True):
+        axis.set(ylim=(-0.06, 1.32), yticks=np.linspace(0, 1, 6), ylabel="starts that succeed")
+        axis.set_title(f"{_TITLES[task]}, {_WORDS[condition]}", fontsize=9, loc="left", pad=3)
+        axis.yaxis.set_major_formatter(PercentFormatter(1.0))
+        axis.tick_params(labelsize=8)
+        axis.xaxis.label.set_fontsize(9)
+        axis.yaxis.label.set_fontsize(9)
+        axis.grid(alpha=0.3)
+    for axis, task in zip(axes, TASKS, strict=True):
+        _plot_points(axis, [row for row in shown if row.task == task], style)
+        every = found(rows, "variation", condition=condition, device="none", task=task)
+        failed = textwrap.fill(", ".join(f"“{row.controller}”" for row in every if not row.successes), 90)
+        if failed:
+            axis.text(0.01, 0.02, f"none succeeds:\n{failed}", transform=axis.transAxes, fontsize=7, va="bottom")
+    return figure
+
+
+def _plot_points(axis: Axes, rows: list[Row], style: dict[str, Style]) -> None:
+    """Draw labelled points with their intervals, and the front."""
+    boxes = []
+    for row in rows:
+        colour, marker, _ = style[row.controller]
+        share = success(row)
+        boxes += [(row.low, row.high, share.share, share.share), (row.median, row.median, share.low, share.high)]
+        axis.errorbar(
+            row.median, share.share,
+            xerr=[[row.median - row.low], [row.high - row.median]],
+            yerr=[[share.share - share.low], [share.high - share.share]],
+            color=colour, marker=marker, ms=5, lw=0.9, capsize=2, zorder=3,
+        )  # fmt: skip
+    _plot_front(axis, rows)
+    shares = [success(row).share for row in rows]
+    place_labels(axis, [row.median for row in rows], shares, [row.controller for row in rows], avoid=np.array(boxes))
+
+
+def _plot_front(axis: Axes, rows: list[Row]) -> None:
+    """Draw the steps to the right and below of which somebody is both smoother and more successful."""
+    front: list[tuple[float, float]] = []
+    for row in sorted(rows, key=lambda row: row.median):
+        share = row.successes / row.starts
+        if not front or share > front[-1][1]:
+            front.append((row.median, share))
+    if front:
+        x, y = np.array([*front, (axis.get_xlim()[1], front[-1][1])]).T
+        axis.step(x, y, where="post", color="#999999", lw=0.8, ls="--", zorder=1)
+
+
+def _plot_forces(rows: list[Row], traces: Traces, task: str, seconds: float) -> Figure:
+    """Draw for each controller its force from the first start, and its mean spectrum beside LQR's or TVLQR's."""
+    kept = {
+        name: {condition: traces.get(_study.slug(Case(name, task, condition).job()), {}) for condition in CONDITIONS}
+        for name in _present(rows)
+    }
+    names = [name for name, of in kept.items() if of["perfect"]]
+    style = styles(_present(rows))
+    figure = Figure(figsize=(6.8, 0.95 * len(names) + 0.75), layout="constrained")
+    axes = figure.subplots(max(len(names), 1), 2, sharex="col", sharey="col", width_ratios=(1.1, 1.0), squeeze=False)
+    for (force, spectrum), name in zip(axes, names, strict=False):
+        colour = style[name][0]
+        u = kept[name]["perfect"]["force"]
+        force.stairs(u, RIG.sample_time * np.arange(len(u) + 1), baseline=None, color=colour, lw=0.9)
+        force.set_title(name, fontsize=8, loc="left", pad=2)
+        if name != REFERENCES[task] and kept.get(REFERENCES[task]):
+            _plot_spectrum(spectrum, kept[REFERENCES[task]]["perfect"], color="#AAAAAA", lw=0.8)
+        for condition, line in _LINES.items():
+            _plot_spectrum(spectrum, kept[name][condition], color=colour, ls=line, lw=1.1)
+        above = found(rows, "spectral_share", controller=name, task=task, device="none")
+        shares = {row.condition: f"{100 * row.median:.2g}" for row in above if row.successes}
+        words = f"above 5 Hz: {shares.get('perfect', '-')} %, with noise {shares.get('noise', '-')} %"
+        spectrum.set_title(words, fontsize=8, loc="left", pad=2)
+        spectrum.axvline(5.0, color="#777777", lw=0.6)
+    axes[0, 0].set(xlim=(0, seconds), ylim=(-46, 46), yticks=(-40, 0, 40))
+    axes[0, 1].set(xscale="log", yscale="log", xlim=(0.15, 25), ylim=(1e-9, 3), yticks=(1e-8, 1e-4, 1))
+    axes[0, 1].set_xticks((0.2, 0.5, 1, 2, 5, 10, 20), ("0.2", "0.5", "1", "2", "5", "10", "20"))
+    for axis in axes.ravel():
+        axis.tick_params(labelsize=7)
+        axis.minorticks_off()
+        axis.grid(alpha=0.3)
+    axes[-1, 0].set_xlabel("time (s)", fontsize=8)
+    axes[-1, 1].set_xlabel("frequency (Hz)", fontsize=8)
+    figure.supylabel("force on the cart (N), perfect sensors", fontsize=8)
+    lines = [Line2D([], [], color="black", ls=line, label=_WORDS[name]) for name, line in _LINES.items()]
+    lines.append(Line2D([], [], color="#AAAAAA", label=f"{REFERENCES[task]}, perfect sensors"))
+    words = "right: power spectral density of u/u_max (1/Hz)"
+    figure.legend(
+        handles=lines, title=words, fontsize=7, title_fontsize=8, ncols=3, loc="outside upper right", frameon=False
+    )
+    return figure
+
+
+def _plot_spectrum(axis: Axes, trace: dict[str, Array], **style: object) -> None:
+    """Draw a spectrum averaged over bins a tenth as wide as their frequency, so that its end is a line and no brush."""
+    if not trace or np.isnan(trace["density"]).any():
+        return
+    frequency, density = trace["frequency"], trace["density"]
+    place = np.floor(10 * np.log(frequency / frequency[0])).astype(int)
+    count = np.bincount(place)
+    means = [np.bincount(place, column)[count > 0] / count[count > 0] for column in (frequency, density)]
+    axis.plot(*means, **cast(Any, style))
+
+
+def _plot_devices(rows: list[Row]) -> Figure:
+    """Draw success and variation against each device's parameter, and those of learners with and without theirs."""
+    worn = [name for name in DEVICES if found(rows, "variation", device=name)]
+    figure = Figure(figsize=(6.8, 2.2 * len(worn) + 2.8), layout="constrained")
+    axes = figure.subplots(len(worn) + 1, 2, squeeze=False)
+    for (saved, varied), name in zip(axes, worn, strict=False):
+        _plot_device(saved, varied, rows, name)
+    _plot_learned(axes[-1, 0], axes[-1, 1], rows)
+    for saved, varied in axes:
+        saved.set(ylim=(-0.05, 1.05), ylabel="starts that succeed")
+        saved.yaxis.set_major_formatter(PercentFormatter(1.0))
+        varied.set(yscale="log", ylim=(0.04, 200), ylabel="variation (u_max/s)")
+        varied.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        for axis in (saved, varied):
+            axis.grid(alpha=0.3)
+            axis.tick_params(axis="y", labelsize=7)
+            axis.xaxis.label.set_fontsize(8)
+            axis.yaxis.label.set_fontsize(8)
+    handles: dict[str, Any] = {}
+    for axis in axes[:-1, 0]:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    words = "filled: perfect sensors, hollow: sensor noise 0.002; balancing, λ = 0.3, where nothing else is said"
+    figure.legend(
+        handles.values(), handles.keys(), title=words, fontsize=7, title_fontsize=8, ncols=5,
+        loc="outside upper center", frameon=False,
+    )  # fmt: skip
+    return figure
+
+
+def _plot_device(saved: Axes, varied: Axes, rows: list[Row], device: str) -> None:
+    settings, style = DEVICES[device].settings, styles(_present(rows))
+    none = settings[-1] * 2.2 if device != "Δu cost" else settings[0] / 4  # where no device at all is drawn
+    for name in dict.fromkeys(row.controller for row in found(rows, "variation", device=device)):
+        colour, marker, line = style[name]
+        for condition in CONDITIONS:
+            same = {"controller": name, "condition": condition, "task": _DEVICE_TASK}
+            worn = sorted(found(rows, "variation", device=device, **same), key=lambda row: row.setting)
+            plain = found(rows, "variation", device="none", **same)
+            face = colour if condition == "perfect" else "white"
+            for own, x in ((worn, [row.setting for row in worn]), (plain, [none] * len(plain))):
+                shares = [success(row) for row in own]
+                for axis, values in (
+                    (saved, [(rate.share, rate.low, rate.high) for rate in shares]),
+                    (varied, [(row.median, row.low, row.high) for row in own]),
+                ):
+                    y, low, high = np.array(values).reshape(-1, 3).T
+                    axis.errorbar(
+                        x, y, [y - low, high - y], color=colour, marker=marker, mfc=face, ms=4, lw=1.0, capsize=2,
+                        ls=line if condition == "perfect" else ":",
+                        label=name if own is worn and condition == "perfect" else None,
+                    )  # fmt: skip
+    for axis in (saved, varied):
+        axis.set(xscale="log", xlabel=DEVICES[device].parameter)
+        axis.set_xticks([*settings, none], [*(f"{setting:g}" for setting in settings), "none"], fontsize=7)
+        axis.minorticks_off()
+
+
+def _plot_learned(saved: Axes, varied: Axes, rows: list[Row]) -> None:
+    """Draw Q-learning without and with a² (balancing), and deep trainings without and with a device (swing-up)."""
+    groups = [
+        (f"{name}\n{features}\nλ = 0.3", found(rows, "variation", controller=name, task=_DEVICE_TASK, device="none"))
+        for name, features in (("Q tuned", "without a²"), ("LSPI", "with a²"))
+    ]
+    learned = [row for row in found(rows, "variation", task="swing-up") if row.device not in ("none", *DEVICES)]
+    if learned:
+        for name in dict.fromkeys(row.controller for row in learned):
+            own = [row for row in learned if row.controller == name]
+            groups.append((f"{name.split('-')[0].upper()}\n{own[0].device}\nswing-up", own))
+    else:
+        for name in ("PPO swing-up", "PPO swing-up, smooth"):
+            groups.append(
+                (name.replace(" swing-up", "\nswing-up"), found(rows, "variation", controller=name, task="swing-up"))
+            )
+    groups = [(words, own) for words, own in groups if own]
+    for place, (_, own) in enumerate(groups):
+        for order, condition in enumerate(CONDITIONS):
+            chosen = sorted((row for row in own if row.condition == condition), key=lambda row: row.training)
+            x = place + 0.2 * (order - 0.5) + 0.05 * (np.arange(len(chosen)) - (len(chosen) - 1) / 2)
+            shares = [success(row) for row in chosen]
+            for axis, values in (
+                (saved, [(rate.share, rate.low, rate.high) for rate in shares]),
+                (varied, [(row.median, row.low, row.high) for row in chosen]),
+            ):
+                y, low, high = np.array(values).reshape(-1, 3).T
+                axis.errorbar(
+                    x, y, [y - low, high - y], color="#333333", marker="o", ls="none", ms=3.5, lw=0.8, capsize=1.5,
+                    mfc="#333333" if condition == "perfect" else "white",
+                )  # fmt: skip
+    for axis in (saved, varied):
+        axis.set_xticks(range(len(groups)), [words for words, _ in groups], fontsize=6)
+        axis.set_xlim(-0.5, len(groups) - 0.5)
+
+
+def _present(rows: list[Row]) -> list[str]:
+    """Give those that stand for themselves, in the order of the table."""
+    return list(dict.fromkeys(row.controller for row in rows if row.device == "none"))
+
+
+# --------------------------------------------------------------------------------------------------------- the summary
+
+_COLUMNS = {
+    "variation": "variation", "slew": "slew", "switches": "switches", "saturated": "saturated, %",
+    "spectral_share": "> 5 Hz, %", "effort": "effort", "travel": "travel", "caps_sm": "Sm", "std_step": "std Δu",
+}  # fmt: skip
+
+
+def summary(rows: list[Row], traces: Traces) -> RenderableType:
+    """Condense the table: metrics by task and sensors, and what each device costs and buys."""
+    tables = [_metrics_table(rows, task, condition) for task in TASKS for condition in CONDITIONS]
+    return Group(*tables, _devices_table(rows))
+
+
+def _metrics_table(rows: list[Row], task: str, condition: str) -> Table:
+    table = Table(
+        title=f"{_TITLES[task]}, {_WORDS[condition]}: medians over the runs that succeed; "
+        f"the ratio of variations is to {REFERENCES[task]} on the starts that both save"
+    )
+    table.add_column("controller")
+    for heading in ("success, %", *_COLUMNS.values(), "ratio"):
+        table.add_column(heading, justify="right")
+    for name in _present(rows):
+        same = {"controller": name, "task": task, "condition": condition, "device": "none"}
+        own = {row.metric: row for row in rows if all(getattr(row, key) == value for key, value in same.items())}
+        if not own:
+            continue
+        first, rate = own["variation"], success(own["variation"])
+        cells = [
+            f"{own[metric].median * (100 if metric in ('saturated', 'spectral_share') else 1):.3g}"
+            for metric in _COLUMNS
+        ]
+        table.add_row(
+            name,
+            f"{100 * rate.share:.1f} \\[{100 * rate.low:.1f}, {100 * rate.high:.1f}] of {first.starts}",
+            *(cells if first.successes else ["-"] * len(cells)),
+            f"{first.ratio:.3g} \\[{first.ratio_low:.3g}, {first.ratio_high:.3g}]" if first.both else "-",
+        )
+    return table
+
+
+def _devices_table(rows: list[Row]) -> Table:
+    table = Table(
+        title="Devices: success, variation (1/s), and its ratio to the same without the device on the starts "
+        "that both save (trainings: to TVLQR, LQR); of several trainings the medians"
+    )
+    for heading in ("device", "setting", "controller", "task", "sensors", "success, %", "variation", "ratio"):
+        table.add_column(heading, justify="left" if heading in ("device", "controller", "task", "sensors") else "right")
+    keys = dict.fromkeys(
+        (row.device, row.setting, row.controller, row.task, row.condition) for row in rows if row.device != "none"
+    )
+    for key in keys:
+        names = ("device", "setting", "controller", "task", "condition")
+        wanted: dict[str, object] = dict(zip(names, key, strict=True))
+        own = found(rows, "variation", **wanted)
+        share = np.median([row.successes / row.starts for row in own])
+        values = [row for row in own if row.successes]
+        cells = [
+            np.median([getattr(row, name) for row in values]) if values else np.nan for name in ("median", "ratio")
+        ]
+        device, setting, controller, task, condition = key
+        table.add_row(
+            device,
+            f"{setting:g}",
+            controller,
+            task,
+            condition,
+            f"{100 * share:.1f}",
+            *(f"{cell:.3g}" for cell in cells),
+        )
+    return table
+
+
+if __name__ == "__main__":
+    _study.main("studies.smoothness")
