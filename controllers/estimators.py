@@ -97,7 +97,7 @@ class Differences:
     """
 
     def __init__(self, rig: Rig | str) -> None:
-        self.rig = as_rig(rig)
+        self.rig = single_rig(rig, "Differences")
 
     def follow(self, n: int) -> Follow:
         """Give the estimator for ``n`` runs."""
