@@ -78,6 +78,22 @@ _TABLES = (
 )
 
 
+def check_spreads(lam: tuple[float, ...]) -> None:
+    """Refuse what is no list of spreads.
+
+    Raises
+    ------
+    ValueError
+        If there is none, one is named twice, or one is no spread of starting angles.
+    """
+    if not lam:
+        raise ValueError("--lam needs at least one spread.")
+    for each in lam:
+        check_lam(each)
+    if len(set(lam)) < len(lam):
+        raise ValueError(f"--lam names a spread twice; got {lam}.")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Options(_entrants.Options):
     """What can be told on the command line."""
@@ -101,12 +117,7 @@ class Options(_entrants.Options):
         super().__post_init__()
         if self.only:
             raise ValueError("--only leaves nobody out here: every start is tried by all that may save it.")
-        if not self.lam:
-            raise ValueError("--lam needs at least one spread.")
-        for lam in self.lam:
-            check_lam(lam)
-        if len(set(self.lam)) < len(self.lam):
-            raise ValueError(f"--lam names a spread twice; got {self.lam}.")
+        check_spreads(self.lam)
         self.check_least(1, "starts")
         self.check_least(0, "grid", "planned", "guesses")
         if not 0 < self.extent < math.pi / 2:

@@ -101,6 +101,7 @@ def test_other_options_are_other_work(tmp_path):
         (["--episodes", "1"], "--episodes must be at least 2; got 1."),
         (["--part-of", "1"], "--part-of must be at least 2; got 1."),
         (["--basins", "-1"], "--basins must be at least 0; got -1."),
+        (["--only", "TVLQR"], "--only names nobody that balances; got ('TVLQR',)."),
         (["--only", "Q publish"], "Nobody that can take part is called 'Q publish'. Did you mean 'Q published'?"),
         (["--workers", "0"], "--workers must be at least 1; got 0."),
         (["--seed", "-1"], "--seed must be at least 0; got -1."),
