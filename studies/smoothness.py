@@ -112,8 +112,7 @@ class Options(_entrants.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.starts < 2:
-            raise ValueError(f"--starts must be at least 2; got {self.starts}.")
+        self.check_least(2, "starts")
 
 
 class Case(NamedTuple):
@@ -343,6 +342,7 @@ def success(row: Row) -> Rate:
 
 
 _TITLES = {"balance 0.1": "balancing, λ = 0.1", "balance 0.3": "balancing, λ = 0.3", "swing-up": "swing-up"}
+_LEAST = 0.01  # u_max/s; what varies less is drawn there
 _LINES = {"perfect": "-", "noise": ":"}
 _WORDS = {"perfect": "perfect sensors", "noise": f"sensor noise {CONDITIONS['noise']:g}"}
 
@@ -364,7 +364,7 @@ def _plot_pareto(rows: list[Row], condition: str) -> Figure:
     axes = figure.subplots(len(TASKS), 1, sharex=True)
     style = styles(_present(rows))
     shown = [row for row in found(rows, "variation", condition=condition, device="none") if row.successes]
-    limits = [bound for row in shown for bound in (row.low, row.high)] or [0.1, 10.0]
+    limits = [_drawn(bound) for row in shown for bound in (row.low, row.high)] or [0.1, 10.0]
     axes[-1].set(xscale="log", xlim=(min(limits) / 1.6, max(limits) * 1.6))
     axes[-1].set_xlabel("total variation of the force (force limits per second), median over runs that succeed")
     axes[-1].xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -385,34 +385,40 @@ def _plot_pareto(rows: list[Row], condition: str) -> Figure:
     return figure
 
 
+def _drawn(variation: float) -> float:
+    """Give where a variation stands on an axis that has no zero."""
+    return max(variation, _LEAST)
+
+
 def _plot_points(axis: Axes, rows: list[Row], style: dict[str, Style]) -> None:
-    """Draw labelled points with their intervals, and the front."""
+    """Draw labelled points with their intervals, and the front as steps."""
     boxes = []
     for row in rows:
         colour, marker, _ = style[row.controller]
         share = success(row)
-        boxes += [(row.low, row.high, share.share, share.share), (row.median, row.median, share.low, share.high)]
+        x, low, high = _drawn(row.median), _drawn(row.low), _drawn(row.high)
+        boxes += [(low, high, share.share, share.share), (x, x, share.low, share.high)]
         axis.errorbar(
-            row.median, share.share,
-            xerr=[[row.median - row.low], [row.high - row.median]],
-            yerr=[[share.share - share.low], [share.high - share.share]],
+            x, share.share, xerr=[[x - low], [high - x]], yerr=[[share.share - share.low], [share.high - share.share]],
             color=colour, marker=marker, ms=5, lw=0.9, capsize=2, zorder=3,
         )  # fmt: skip
-    _plot_front(axis, rows)
-    shares = [success(row).share for row in rows]
-    place_labels(axis, [row.median for row in rows], shares, [row.controller for row in rows], avoid=np.array(boxes))
+    best = front(rows)
+    if best:
+        x, y = np.array([*best, (axis.get_xlim()[1], best[-1][1])]).T
+        axis.step(np.maximum(x, _LEAST), y, where="post", color="#999999", lw=0.8, ls="--", zorder=1)
+    names = [row.controller + ("" if row.median >= _LEAST else f" (below {_LEAST:g})") for row in rows]
+    places = [_drawn(row.median) for row in rows], [success(row).share for row in rows]
+    place_labels(axis, *places, names, avoid=np.array(boxes))
 
 
-def _plot_front(axis: Axes, rows: list[Row]) -> None:
-    """Draw the steps to the right and below of which somebody is both smoother and more successful."""
-    front: list[tuple[float, float]] = []
-    for row in sorted(rows, key=lambda row: row.median):
+def front(rows: list[Row]) -> list[tuple[float, float]]:
+    """Give variation and success of those than whom nobody is both smoother and as successful, smoothest first."""
+    best: list[tuple[float, float]] = []
+    for row in sorted(rows, key=lambda row: (row.median, -row.successes / row.starts)):
         share = row.successes / row.starts
-        if not front or share > front[-1][1]:
-            front.append((row.median, share))
-    if front:
-        x, y = np.array([*front, (axis.get_xlim()[1], front[-1][1])]).T
-        axis.step(x, y, where="post", color="#999999", lw=0.8, ls="--", zorder=1)
+        if not best or share > best[-1][1]:
+            best.append((row.median, share))
+    return best
 
 
 def _plot_forces(rows: list[Row], traces: Traces, task: str, seconds: float) -> Figure:
@@ -472,11 +478,13 @@ def _plot_spectrum(axis: Axes, trace: dict[str, Array], **style: object) -> None
 def _plot_devices(rows: list[Row]) -> Figure:
     """Draw success and variation against each device's parameter, and those of learners with and without theirs."""
     worn = [name for name in DEVICES if found(rows, "variation", device=name)]
+    groups = _learned(rows)
     figure = Figure(figsize=(6.8, 2.2 * len(worn) + 2.8), layout="constrained")
-    axes = figure.subplots(len(worn) + 1, 2, squeeze=False)
+    axes = figure.subplots(max(len(worn) + bool(groups), 1), 2, squeeze=False)
     for (saved, varied), name in zip(axes, worn, strict=False):
         _plot_device(saved, varied, rows, name)
-    _plot_learned(axes[-1, 0], axes[-1, 1], rows)
+    if groups:
+        _plot_learned(axes[-1, 0], axes[-1, 1], groups)
     for saved, varied in axes:
         saved.set(ylim=(-0.05, 1.05), ylabel="starts that succeed")
         saved.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -488,7 +496,7 @@ def _plot_devices(rows: list[Row]) -> Figure:
             axis.xaxis.label.set_fontsize(8)
             axis.yaxis.label.set_fontsize(8)
     handles: dict[str, Any] = {}
-    for axis in axes[:-1, 0]:
+    for axis in axes[:, 0]:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
     words = "filled: perfect sensors, hollow: sensor noise 0.002; balancing, λ = 0.3, where nothing else is said"
@@ -527,23 +535,23 @@ def _plot_device(saved: Axes, varied: Axes, rows: list[Row], device: str) -> Non
         axis.minorticks_off()
 
 
-def _plot_learned(saved: Axes, varied: Axes, rows: list[Row]) -> None:
-    """Draw Q-learning without and with a² (balancing), and deep trainings without and with a device (swing-up)."""
+def _learned(rows: list[Row]) -> list[tuple[str, list[Row]]]:
+    """Give Q-learning without and with a² (balancing), and deep trainings without and with a device (swing-up)."""
     groups = [
         (f"{name}\n{features}\nλ = 0.3", found(rows, "variation", controller=name, task=_DEVICE_TASK, device="none"))
         for name, features in (("Q tuned", "without a²"), ("LSPI", "with a²"))
     ]
-    learned = [row for row in found(rows, "variation", task="swing-up") if row.device not in ("none", *DEVICES)]
-    if learned:
-        for name in dict.fromkeys(row.controller for row in learned):
-            own = [row for row in learned if row.controller == name]
-            groups.append((f"{name.split('-')[0].upper()}\n{own[0].device}\nswing-up", own))
-    else:
-        for name in ("PPO swing-up", "PPO swing-up, smooth"):
-            groups.append(
-                (name.replace(" swing-up", "\nswing-up"), found(rows, "variation", controller=name, task="swing-up"))
-            )
-    groups = [(words, own) for words, own in groups if own]
+    trained = [row for row in found(rows, "variation", task="swing-up") if row.device not in ("none", *DEVICES)]
+    for name in dict.fromkeys(row.controller for row in trained):
+        own = [row for row in trained if row.controller == name]
+        groups.append((f"{name.split('-')[0].upper()}\n{own[0].device}\nswing-up", own))
+    for name in () if trained else ("PPO swing-up", "PPO swing-up, smooth"):
+        groups.append((name.replace(" ", "\n"), found(rows, "variation", controller=name, task="swing-up")))
+    return [(words, own) for words, own in groups if own]
+
+
+def _plot_learned(saved: Axes, varied: Axes, groups: list[tuple[str, list[Row]]]) -> None:
+    """Draw groups of learned controllers side by side, each training a point."""
     for place, (_, own) in enumerate(groups):
         for order, condition in enumerate(CONDITIONS):
             chosen = sorted((row for row in own if row.condition == condition), key=lambda row: row.training)

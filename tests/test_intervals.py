@@ -11,7 +11,7 @@ from rigs import whole
 from scipy import stats
 from scipy.optimize import isotonic_regression
 
-from studies._intervals import crossing, falling_fit, over_seeds, wilson, worst_cases
+from studies._intervals import crossing, falling_fit, median, over_seeds, wilson, worst_cases
 
 
 @pytest.mark.parametrize("p", [0.05, 0.5, 0.9, 0.99])
@@ -45,6 +45,28 @@ def test_an_interval_over_trainings_is_never_narrower_than_that_of_all_episodes(
         assert rate.low <= pooled.low
         assert rate.high >= pooled.high
         assert rate.share == pooled.share
+
+
+# ---------------------------------------------------------------------------------------------------------- medians
+
+
+@pytest.mark.parametrize("n", [6, 20, 25, 400])
+def test_intervals_of_a_median_cover_it_whatever_the_values_are_like(n):
+    rng = np.random.default_rng(3)
+    found = [median(rng.lognormal(1.0, 2.0, n)) for _ in range(1500)]
+    assert 0.94 <= np.mean([one.low <= np.e <= one.high for one in found]) <= 0.985
+
+
+def test_the_interval_of_a_median_is_that_of_the_quantile_test():
+    values = np.random.default_rng(4).normal(size=31)
+    interval = stats.quantile_test(values, p=0.5).confidence_interval(0.95)
+    assert median(values) == (np.median(values), interval.low, interval.high)
+
+
+def test_few_values_are_their_own_interval_and_none_has_no_median():
+    assert median([3.0, 1.0, 2.0]) == (2.0, 1.0, 3.0)
+    assert median([5.0]) == (5.0, 5.0, 5.0)
+    assert np.isnan(median([])).all()
 
 
 # -------------------------------------------------------------------------------------------------------- crossings

@@ -10,7 +10,7 @@ from scipy.signal import chirp
 
 import dpend
 from controllers import LQR, BangBang
-from dpend.metrics import RATE_DEPENDENT, UNITS, force_metrics, smoothness_metrics
+from dpend.metrics import RATE_DEPENDENT, UNITS, force_metrics, power_spectrum, smoothness_metrics
 from dpend.params import Array
 
 LIMIT = 40.0
@@ -205,3 +205,27 @@ def test_a_run_gives_the_smoothness_of_its_force() -> None:
 def test_a_lag_or_cutoff_that_is_none_is_refused(settings: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=whole(message)):
         smoothness_metrics(np.zeros((1, 5)), 0.02, LIMIT, **settings)
+
+
+def test_the_power_spectrum_of_a_cosine_has_its_mean_square_at_its_frequency_and_no_unit_of_force() -> None:
+    t = 0.001 * (np.arange(10_000) + 0.5)
+    u = LIMIT * np.stack([np.full(10_000, 0.3), 0.3 + 0.5 * np.cos(2 * np.pi * 3 * t)])
+    frequency, density = power_spectrum(u, 0.001, LIMIT, highest=10.0)
+    np.testing.assert_allclose(frequency, 0.05 * np.arange(1, 201))
+    np.testing.assert_allclose(density[0], 0.0, atol=1e-20)  # the mean has no line
+    assert density[1].sum() * 0.05 == pytest.approx(0.5**2 / 2, rel=1e-4)
+    assert frequency[density[1] > 1e-6] == pytest.approx([3.0])
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+def test_the_power_spectrum_sums_up_to_the_variance_of_the_staircase(name: str) -> None:
+    u = SIGNALS[name]
+    frequency, density = power_spectrum(u[None], 0.02, LIMIT, highest=20_000.0)
+    missing = u.var() / LIMIT**2 - density.sum() * frequency[0]
+    assert -1e-12 <= missing <= 2e-3 * u.var() / LIMIT**2 + 1e-12  # what lies above falls with the frequency
+
+
+def test_a_power_spectrum_is_refused_of_runs_of_several_lengths() -> None:
+    message = "Expected force signals of one length without NaN; take runs that lasted equally long."
+    with pytest.raises(ValueError, match=whole(message)):
+        power_spectrum(np.array([[1.0, 2.0], [1.0, np.nan]]), 0.02, LIMIT)

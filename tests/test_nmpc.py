@@ -155,6 +155,15 @@ def test_close_to_the_target_it_is_the_regulator(rate_weight: float) -> None:
             assert 0 < first / expected < 1
 
 
+def test_a_cost_on_changes_of_force_lowers_their_variation_under_sensor_noise() -> None:
+    rig, start = RIG.replace(sensor_noise=0.002), [0.0, 0.02, 0.01, 0.0, 0.0, 0.0]
+    free, dear = (
+        dpend.simulate(rig, NMPC(RIG, rate_weight=weight, **SHORT), start, 1.0).metrics() for weight in (0.0, 1.0)
+    )
+    assert dear["success"] == 1.0
+    assert dear["variation"] < 0.5 * free["variation"]
+
+
 def test_at_the_target_and_at_each_turn_of_it_there_is_nothing_to_do() -> None:
     for target, angles in (("up-up", (2 * np.pi, -4 * np.pi)), ("down-down", (-np.pi, 3 * np.pi))):
         x = np.array([[0.0, *angles, 0.0, 0.0, 0.0]])
