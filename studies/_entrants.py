@@ -42,10 +42,14 @@ class Told(NamedTuple):
     """What it was to make large or small."""
     starts: str
     """Where it could begin while it learned."""
+    state: str = "all of it, exact"
+    """What it sees when it acts."""
 
 
 _DESIGNED = Told("equations and parameters", "quadratic cost", "-")
-_ENERGY = Told("equations and parameters", "energy", "-")
+_ENERGY = Told("equations and parameters", "energy, then quadratic cost", "-")
+YOURS = Told("yours to say", "yours to say", "yours to say")
+"""What nobody but its author knows of a user's own controller."""
 _SHAPED = Told("none", "shaped: height, calm, upright", "anywhere, near upright too")
 
 
@@ -70,8 +74,9 @@ class Entrant:
     learner : callable, optional
         Gives a learner that is trained in seconds, so that a study may train it anew.
     policy : str
-        Name of the policy that is shipped, of a learner; its trainings are in ``docs/results/deep`` under the same
-        name where they take minutes.
+        Name of the policy that is shipped, of a learner.
+    trainings : str
+        Name under which the trainings of one that takes minutes are kept in ``docs/results/deep``.
     source : str
         Of a user's own controller: where it is, and a fingerprint of the file.
     """
@@ -84,6 +89,7 @@ class Entrant:
     part: float = 1.0
     learner: Callable[[Rig], LinearQLearning | GaussianQAC | LSPI] | None = None
     policy: str = ""
+    trainings: str = ""
     source: str = ""
 
     def runs(self, n: int) -> int:
@@ -177,7 +183,7 @@ ENTRANTS: tuple[Entrant, ...] = (
     Entrant(
         name="Q tuned",
         make=_learned("q-tuned"),
-        told=Told("none", "report's cost, weights tuned", "λ = .08 about upright"),
+        told=Told("none", "report's cost, weights tuned", "λ = .08 about upright, tests to .3"),
         style=("#009E73", "D", "-."),
         learner=lambda rig: LinearQLearning.tuned(rig),
         policy="q-tuned",
@@ -185,7 +191,7 @@ ENTRANTS: tuple[Entrant, ...] = (
     Entrant(
         name="QAC tuned",
         make=_learned("qac-tuned"),
-        told=Told("none", "quadratic cost", "near upright"),
+        told=Told("none", "quadratic cost, angles dear at first", "λ = .1 about upright"),
         style=("#CC79A7", "*", (0, (6, 1, 1, 1))),
         learner=lambda rig: GaussianQAC.tuned(rig),
         policy="qac-tuned",
@@ -203,19 +209,19 @@ ENTRANTS: tuple[Entrant, ...] = (
         make=_learned("ppo-balance"),
         told=Told("none", "shaped: height, calm, upright", "λ = .4 about upright"),
         style=("#0072B2", "d", ":"),
-        policy="ppo-balance",
+        policy="ppo-balance", trainings="ppo-balance",
     ),
     Entrant(
         name="PPO swing-up", make=_learned("ppo-swing-up"), tasks=BOTH, told=_SHAPED,
-        style=("#CC79A7", "o", "-"), policy="ppo-swing-up",
+        style=("#CC79A7", "o", "-"), policy="ppo-swing-up", trainings="ppo-swing-up",
     ),
     Entrant(
         name="PPO swing-up, smooth", make=_learned("ppo-swing-up-smooth"), tasks=BOTH, told=_SHAPED,
-        style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth",
+        style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth", trainings="ppo-swing-up-caps",
     ),
     Entrant(
         name="DDPG swing-up", make=_learned("ddpg-swing-up"), tasks=BOTH, told=_SHAPED,
-        style=("#D55E00", "D", ":"), policy="ddpg-swing-up",
+        style=("#D55E00", "D", ":"), policy="ddpg-swing-up", trainings="ddpg-swing-up",
     ),
 )  # fmt: skip
 """All that come with the package, as designed with their defaults or as shipped."""
@@ -340,7 +346,7 @@ def own(spec: str) -> Entrant:
         name=name,
         make=lambda rig, task: _made(factory, rig),
         tasks=BOTH,
-        told=Told("yours to say", "yours to say", "yours to say"),
+        told=YOURS,
         part=1.0 if is_batched(made) else 0.2,
         source=f"{spec} {fingerprint(Path(str(module.__file__)))}",
     )

@@ -1,7 +1,8 @@
 """The one runner of all studies: jobs to rows, rows to a table on disk, the table to figures.
 
 A study is a module with a docstring that says question, method and finding, and with ``Options``, ``Row``, ``jobs``,
-``run``, ``plot`` and ``summary`` (see :class:`Study`), and ``films`` where its options have such a flag.  Each finished
+``run``, ``plot`` and ``summary`` (see :class:`Study`), ``films`` where its options have such a flag, and ``pages``
+where it writes texts: their file names and what stands in them, from rows and traces.  Each finished
 job is a small file of its own, written at once or not at all, so a study that was stopped in any way goes on where it
 was, and no row is lost or doubled.  That file is named after everything the result depends on: job, options and source
 code.
@@ -199,6 +200,9 @@ def run_study(name: str, options: Options) -> list[Any]:
         figure.savefig(out / f"{short}{added}.png", dpi=200)
     if getattr(options, "films", False):
         cast(Any, study).films(rows, traces, out)
+    if hasattr(study, "pages"):
+        for page, text in cast(Any, study).pages(rows, traces).items():
+            _write(out / page, text)
     console = Console()
     console.print(study.summary(rows, traces))
     console.print(f"Figure, table and settings are in {out}/.", soft_wrap=True, highlight=False)
@@ -327,6 +331,22 @@ def read_rows(file: Path, row_type: type[Any]) -> list[Any]:
         return [
             row_type(**{name: convert[name](text) for name, text in line.items()}) for line in csv.DictReader(stream)
         ]
+
+
+def kept_table(name: str) -> Path:
+    """Give the ``rows.csv`` of a study that is shipped: in the package where it is installed, else in docs/results.
+
+    Parameters
+    ----------
+    name : str
+        The study, such as ``"recoverable"``.
+
+    Returns
+    -------
+    Path
+    """
+    installed = Path(__file__).parent / "data" / f"{name}.csv"
+    return installed if installed.exists() else _ROOT / "docs" / "results" / name / "rows.csv"
 
 
 def _write_traces(file: Path, traces: dict[str, dict[str, list[float]]]) -> None:

@@ -40,6 +40,7 @@ from ._study import Job, Result, Traces
 RUNS = Path("docs/results/deep")
 """Where the trainings are kept, seen from the repository, a folder each: what was learned by what, and the seed."""
 
+_EVALUATED = {"swing-up": 10.0, "balance": 6.0}  # s, see rl.deep.evaluate
 _FRESH = 1000  # starts
 _NOISE = 0.002
 _LQR = "LQR, Q = I, R = 1, balance"
@@ -90,6 +91,8 @@ class Row:
     """The same for 95 %."""
     step_seconds: float
     """Simulated time in a step, s."""
+    test_seconds: float
+    """Simulated time of the evaluations that chose the policy, at most, s."""
     cpu_seconds: float
     wall_seconds: float
 
@@ -114,6 +117,7 @@ def run(job: Job, options: Options) -> Result:
     """Meet fresh starts, and read what the training wrote."""
     n = 20 if options.quick else options.starts
     rig, task, curve, best, period = dpend.rig("gustafsson2016"), "balance", [_UNTRAINED], 0, 0.0
+    tests = 0.0
     if job.setting == _LQR:
         controller: dpend.Controller = LQR(rig)
         period = rig.sample_time
@@ -125,6 +129,7 @@ def run(job: Job, options: Options) -> Result:
         recipe = policy.about["recipe"]
         rig, task, period = dpend.Rig.from_dict(recipe["rig"]), recipe["task"], policy.period
         curve, best = read_curve(folder / "curve.csv"), policy.about["evaluation"]["steps"]
+        tests = len(curve) * recipe["evaluation_starts"] * _EVALUATED[task]
     success, variation = evaluate(controller, task, rig, n, [_STREAM, options.seed])
     row = Row(
         learner=job.setting,
@@ -139,6 +144,7 @@ def run(job: Job, options: Options) -> Result:
         steps_to_half=next((seen.steps for seen in curve if seen.success >= 0.5), -1),
         steps_to_most=next((seen.steps for seen in curve if seen.success >= 0.95), -1),
         step_seconds=period,
+        test_seconds=tests,
         cpu_seconds=curve[-1].cpu_seconds,
         wall_seconds=curve[-1].wall_seconds,
     )
@@ -152,6 +158,12 @@ def _balancing(rig: dpend.Rig, controller: dpend.Controller, n: int, seed: int) 
     starts = task.starts(np.random.default_rng([_STREAM, seed, 1]), min(n, 200), rig)
     runs = dpend.simulate_many(rig, controller, starts, task=task, seed=seed)
     return float(runs.metrics()["variation"][runs.success].mean()) if runs.success.any() else np.nan
+
+
+def shipped() -> list[Row]:
+    """Give the table of trainings that is shipped."""
+    rows: list[Row] = _study.read_rows(_study.kept_table("deep_swing_up"), Row)
+    return rows
 
 
 def plot(rows: list[Row], traces: Traces) -> Figure:

@@ -72,11 +72,6 @@ _CLOSE = 1.1
 """A force within this share of the limit is worth a second search."""
 _CHUNK = 50
 
-_TABLES = (
-    Path(__file__).parent / "data" / "recoverable.csv",  # as installed
-    Path(__file__).parent.parent / "docs" / "results" / "recoverable" / "rows.csv",
-)
-
 
 def check_spreads(lam: tuple[float, ...]) -> None:
     """Refuse what is no list of spreads.
@@ -465,7 +460,7 @@ def rounded(verdict: Verdict) -> Verdict:
 
 def table() -> Path:
     """Give the table that is shipped: part of the package where it is installed, else in docs/results."""
-    return next(file for file in _TABLES if file.exists())
+    return _study.kept_table("recoverable")
 
 
 @cache
