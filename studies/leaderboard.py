@@ -36,7 +36,7 @@ from . import _entrants, _study, deep_swing_up, recoverable
 from ._entrants import ENTRANTS, RIG, YOURS, Entrant, Task
 from ._intervals import crossing, over_seeds, wilson
 from ._page import Cell, Column, Line, markdown, page, terminal
-from ._perturbations import AXES, measure, score
+from ._perturbations import AXES, mean_share, measure, score
 from ._ranks import Ranking, ranking
 from ._step_times import undisturbed
 from ._study import Job, Result, Traces
@@ -360,8 +360,8 @@ class Found:
 
     def doing(self, task: Task) -> list[str]:
         """Give the names of those that do a task."""
-        quantity = f"saved, λ = {self.lams[0]:g}" if task == "balance" and self.lams else "up from hanging, s"
-        return [name for name in self.names if len(self.of(name, quantity))]
+        first = {"balance": [f"saved, λ = {lam:g}" for lam in self.lams], "swing-up": ["up from hanging, s"]}[task]
+        return [name for name in self.names if first and len(self.of(name, first[0]))]
 
 
 class Ranked(NamedTuple):
@@ -418,7 +418,7 @@ BALANCE = (
         Column("Balance", f"λ = {lam:g}", f"Starts saved, %, θ1, θ2 within {lam:g} rad, and Wilson's 95 % interval.")
         for lam in SHOWN
     ),
-    Column("Balance", "mean", "Starts saved, %, mean over λ = 0.1 to 0.6: what the rank goes by."),
+    Column("Balance", "mean", "Starts saved, %, mean over λ = 0.1 to 0.6, which the rank goes by; 95 % interval."),
     Column("Balance", "λ90, rad", "The spread at which 90 % are saved, and its 95 % interval."),
     Column(
         "Balance", "robust, %",
@@ -541,7 +541,7 @@ def _seconds(found: Found, name: str, task: Task) -> list[Cell]:
     if not len(own):
         return [Cell(), Cell()]
     step = float(np.median(own))
-    return [_number(1e3 * step, under=f"{_short(step / np.median(lqr))} × LQR"), _median(1e6 * many)]
+    return [_number(1e3 * step, under=f"({_short(step / np.median(lqr))} × LQR)"), _median(1e6 * many)]
 
 
 def _robust(found: Found, name: str, task: Task) -> Cell:
@@ -555,7 +555,7 @@ def _of_balance(found: Found, name: str, ranks: Ranked) -> list[Cell]:
     return [
         *_standing(ranks, name),
         *(_share(saved[:, found.lams.index(lam)]) if lam in found.lams else Cell() for lam in SHOWN),
-        _percent(float(counted.mean())),
+        _percent(*mean_share(counted, saved[:, scored(found.lams)].size)),
         _crossing(saved, found.lams),
         _robust(found, name, "balance"),
         _mean(found.of(name, "variation balancing, 1/s")),
@@ -591,7 +591,7 @@ def _of_cost(found: Found, name: str) -> list[Cell]:
         Cell(told.model),
         Cell(told.state),
         Cell(told.reward),
-        Cell(told.starts),
+        Cell() if told.starts == "-" else Cell(told.starts),
     ]
 
 
@@ -602,7 +602,8 @@ def _reference(found: Found) -> list[Cell]:
     cells = {column.heading: Cell() for column in BALANCE}
     cells |= {f"λ = {lam:g}": _share(kept[lam]) for lam in SHOWN if lam in kept}
     if all(lam in kept for lam in LAMS):
-        cells["mean"] = _percent(float(saved[:, scored(kept)].mean()))
+        counted = saved[:, scored(kept)]
+        cells["mean"] = _percent(*mean_share(counted.mean(axis=1), counted.size))
     cells |= {"λ90, rad": _crossing(saved, list(kept)), "starts": _number(len(saved), "d")}
     return list(cells.values())
 
