@@ -145,8 +145,8 @@ def page(title: str, before: Sequence[str], columns: Sequence[Column], lines: Se
     e = html.escape
     edges = {i for i, column in enumerate(columns) if i and column.group != columns[i - 1].group}
     groups = "".join(
-        f'<th scope="colgroup" colspan="{len(list(members))}"{" class=edge" if group else ""}>{e(group)}</th>'
-        for group, members in groupby(column.group for column in columns)
+        f'<th scope="colgroup" colspan="{len(list(each))}" class="{"edge" if group else ""}"><span>{e(group)}</span></th>'
+        for group, each in groupby(column.group for column in columns)
     )
     headings = "".join(
         f'<th scope="col" class="{_kind(column, i in edges)}"><button title="{e(column.meaning)}">{e(column.heading)}'
@@ -201,7 +201,7 @@ def _kind(column: Column, edge: bool) -> str:
 def _cell(cell: Cell, column: Column, place: int, edge: bool) -> str:
     tag, scope = ("th", ' scope="row"') if place == 0 else ("td", "")
     key = cell.text if cell.key is None else "" if math.isnan(cell.key) else repr(float(cell.key))
-    bar = "" if cell.share is None else f' style="--share:{100 * cell.share:.1f}%"'
+    bar = "" if not cell.share else f' style="--share:{100 * cell.share:.1f}%"'
     under = f"<small>{html.escape(cell.under)}</small>" if cell.under else ""
     kind = _kind(column, edge) + (" bar" if bar else "")
     return f'<{tag}{scope} class="{kind}" data-key="{html.escape(key)}"{bar}>{html.escape(cell.text)}{under}</{tag}>'
@@ -223,13 +223,15 @@ th, td { padding: 0.3rem 0.5rem; border-bottom: 1px solid var(--line); text-alig
 td.words, th.words { text-align: left; }
 td.words { white-space: normal; min-width: 9rem; }
 .edge { border-left: 2px solid var(--ink); }
-thead th { position: sticky; top: 0; background: var(--head); z-index: 1; vertical-align: bottom; }
+thead th { position: sticky; top: 0; background: var(--head); z-index: 1; vertical-align: bottom; white-space: normal; }
+thead tr:first-child th { text-align: left; }
+th[colspan] span { position: sticky; left: 8rem; white-space: nowrap; }
 thead tr + tr th { top: 1.9rem; }
-tr > th:first-child { position: sticky; left: 0; z-index: 2; background: var(--head); text-align: left;
+tbody th, thead tr > th:first-child { position: sticky; left: 0; z-index: 2; background: var(--head); text-align: left;
   white-space: normal; min-width: 7rem; }
 thead tr > th:first-child { z-index: 3; }
 small { display: block; opacity: 0.75; }
-.bar { background: linear-gradient(to right, var(--bar) var(--share), transparent var(--share)); }
+.bar { background: linear-gradient(var(--bar), var(--bar)) no-repeat; background-size: var(--share) 100%; }
 button { all: unset; cursor: pointer; font-weight: 600; }
 button:focus-visible { outline: 2px solid #0072b2; }
 [aria-sort=ascending] button::after { content: " ▲"; }

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -586,7 +586,7 @@ def _of_cost(found: Found, name: str) -> list[Cell]:
         _median(found.of(name, "ready, s"), ".2g"),
         _number(len(failed), "d") if len(failed) else Cell(),
         *(_median(found.of(name, f"{what}, s")) for what in ("training", "learning", "tests")),
-        _share(failed),
+        replace(_share(failed), share=None),
         _percent(*over_seeds(np.round(1e4 * saves), 10_000)) if len(saves) else Cell(),
         Cell(told.model),
         Cell(told.state),

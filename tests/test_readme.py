@@ -1,9 +1,15 @@
 """What the README shows, works."""
 
+import importlib
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+import dpend
+from studies import _study
+from studies._entrants import RIG, own
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 EXAMPLES = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
@@ -23,9 +29,39 @@ def test_every_local_link_and_picture_is_in_the_repository():
                 assert (page.parent / target).exists(), f"{page.name} points to {target}"
 
 
-def test_a_controller_takes_ten_lines():
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    """Write the README's own controller where its commands look for it."""
     (example,) = (example for example in EXAMPLES if "class " in example)
-    assert len([line for line in example.splitlines() if line.strip()]) <= 10
+    (tmp_path / "mine.py").write_text(example)
+    monkeypatch.chdir(tmp_path)
+    return example
+
+
+OWN = re.findall(r"^\.venv/bin/python -m (studies\.\w+) --controller (mine\.py:\w+)$", README, flags=re.MULTILINE)
+
+
+def test_a_controller_in_every_comparison_takes_ten_lines(mine):
+    assert len([line for line in mine.splitlines() if line.strip()]) + len(OWN) <= 10
+    assert {study.removeprefix("studies.") for study, _ in OWN} == {
+        "leaderboard", "lambda_sweep", "swing_up", "smoothness", "robustness"
+    }  # fmt: skip
+    (spec,) = {spec for _, spec in OWN}
+    entrant = own(spec)
+    task = dpend.Balance(lam=0.1)
+    starts = task.starts(np.random.default_rng(0), 20, RIG)
+    assert dpend.simulate_many(RIG, entrant.make(RIG, task), starts, task=task).success.all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("study", "spec"), OWN)
+def test_a_controller_of_ones_own_appears_in_every_comparison(study, spec, mine, tmp_path):
+    out = tmp_path / "out"
+    options = ["--quick", "--workers", "1", "--out", str(out), "--only", "LQR", "TVLQR"]
+    rows = _study.main(study, ["--controller", spec, *options])
+    names = {value for row in rows for value in vars(row).values() if isinstance(value, str)}
+    assert "ByHand" in names
+    assert len(rows) == len(_study.read_rows(out / "rows.csv", importlib.import_module(study).Row))
 
 
 def test_there_are_two_commands_that_set_up_and_run():
