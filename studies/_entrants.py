@@ -153,7 +153,7 @@ ENTRANTS: tuple[Entrant, ...] = (
         name="TVLQR",
         make=_follower,
         tasks=("swing-up",),
-        told=Told("equations and parameters", "time, then quadratic cost", "-"),
+        told=Told("equations and parameters", "effort of a trajectory, then quadratic cost", "-"),
         style=("#009E73", "^", "-"),
     ),
     Entrant(

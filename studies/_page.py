@@ -6,7 +6,6 @@ import html
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
 
 from rich.markup import escape
 from rich.table import Table
@@ -145,8 +144,9 @@ def page(title: str, before: Sequence[str], columns: Sequence[Column], lines: Se
     e = html.escape
     edges = {i for i, column in enumerate(columns) if i and column.group != columns[i - 1].group}
     groups = "".join(
-        f'<th scope="colgroup" colspan="{len(list(each))}" class="{"edge" if group else ""}"><span>{e(group)}</span></th>'
-        for group, each in groupby(column.group for column in columns)
+        f'<th scope="colgroup" colspan="{sum(column.group == group for column in columns)}" '
+        f'class="{"edge" if group else ""}"><span>{e(group)}</span></th>'
+        for group in dict.fromkeys(column.group for column in columns)
     )
     headings = "".join(
         f'<th scope="col" class="{_kind(column, i in edges)}"><button title="{e(column.meaning)}">{e(column.heading)}'
