@@ -69,10 +69,8 @@ class Options(_entrants.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.starts < 2:
-            raise ValueError(f"--starts must be at least 2; got {self.starts}.")
-        if self.trainings < 1:
-            raise ValueError(f"--trainings must be at least 1; got {self.trainings}.")
+        self.check_least(2, "starts")
+        self.check_least(1, "trainings")
 
     def taking_part(self, task: Task) -> list[Entrant]:
         """Give those that do a task; where it must be quick, none that takes long but those that are named."""
