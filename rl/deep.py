@@ -115,7 +115,8 @@ class DeepRecipe:
         How long a force is held, s; a whole number of samples.  At zero, the greatest up to 0.04 s for the swing-up and
         one sample for balancing.
     action_rate : float
-        Weight w of the penalty w |a_t - a_{t-1}| near upright; the last action is then observed.
+        Weight w of the penalty w |a_t - a_{t-1}| near upright, which grows from nothing to this while it learns, at
+        each evaluation; the last action is then observed.
     sensor_noise : float
         Standard deviation of noise on every measured state while learning (m, rad, m/s, rad/s), in place of the rig's
         own; at zero, the rig's own.  Evaluations are on the rig as it is.

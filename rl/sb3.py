@@ -43,7 +43,7 @@ class Copies(VecEnv):
 
     On our plant, observations are :func:`rl.shaping.observe`'s, and :math:`\tfrac{1}{200}a_t^2` and
     :math:`w\,|a_t - a_{t-1}|\,e^{-5(2 - \cos\theta_1 - \cos\theta_2)}` are taken off the reward; an episode begins
-    with :math:`a_{-1} = 0`.
+    with :math:`a_{-1} = 0`.  The attribute ``grown`` says which share of the recipe's weight :math:`w` is now.
 
     Parameters
     ----------
@@ -58,6 +58,7 @@ class Copies(VecEnv):
         self._own = not recipe.env
         self._scales = observation_scales(recipe.rig)
         self._action_rate = recipe.action_rate
+        self.grown = 0.0
         self._last: Array | None = np.zeros(envs.num_envs) if recipe.action_rate else None
         box = cast(spaces.Box, envs.single_action_space)
         if not isinstance(box, spaces.Box) or box.shape is None or len(box.shape) != 1:
@@ -98,7 +99,7 @@ class Copies(VecEnv):
             rewards = rewards - _EFFORT * a**2
             if last is not None:
                 near = nearness(np.cos(arrived[:, 1]), np.cos(arrived[:, 2]))
-                rewards -= self._action_rate * np.abs(a - last) * near
+                rewards -= self.grown * self._action_rate * np.abs(a - last) * near
                 last = self._last = a
         told = self._nothing
         if len(rows):
@@ -307,6 +308,7 @@ class Learner:
 
     def learn(self, steps: int) -> None:
         """Take so many environment steps, or the next number that fills a round, and learn from them."""
+        self._env.grown = min((self.steps + steps) / self._recipe.steps, 1.0)
         self._model.learn(steps, reset_num_timesteps=False)
 
     def act(self, observations: Any) -> Any:

@@ -5,8 +5,10 @@ and kept its evaluation curve and its best policy, chosen on starts of its own. 
 starts on gustafsson2016: for the swing-up half hanging and half level to the side, each angle within 0.05 rad, ten
 seconds, the last of them with both links within 0.2 rad of upright; for balancing θ1, θ2 ~ U[-0.3, 0.3] for 300
 samples.  Intervals are 95 % over trainings.  Variation is the total variation of the force: over the last four seconds
-of the runs that succeed, and while balancing from θ1, θ2 ~ U[-0.1, 0.1] for 300 samples, with perfect sensors and with
-noise of 0.002 (m, rad, m/s, rad/s) on every measured state.
+of the runs that succeed; while balancing from θ1, θ2 ~ U[-0.1, 0.1] for 300 samples, with perfect sensors and with
+noise of 0.002 (m, rad, m/s, rad/s) on every measured state; and over the last four seconds of the latter, when the
+start is forgotten.  Beside stands the least that any force can have in such 300 samples, by linear programming on the
+linearised plant.
 
 Finding: PPO swings up 99.4 % [98.6, 100.0] of the starts (five trainings of at most 8 million steps, two minutes of
 processor time), and 100.0 % [99.9, 100.0] where its episodes began at rest alone (five of 2.6 to 3.9 million); DDPG
@@ -17,6 +19,7 @@ thirds of plain PPO's variation of force under sensor noise.
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,9 +29,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 from rich.console import RenderableType
 from rich.table import Table
+from scipy import sparse
+from scipy.optimize import linprog
 
 import dpend
 from controllers import LQR
+from dpend.linear import discretize, linearize
+from dpend.metrics import force_metrics
 from dpend.params import Array
 from rl import MLPPolicy, load_policy
 from rl.deep import Evaluation, evaluate, read_curve
@@ -44,8 +51,10 @@ _EVALUATED = {"swing-up": 10.0, "balance": 6.0}  # s, see rl.deep.evaluate
 _FRESH = 1000  # starts
 _NOISE = 0.002
 _LQR = "LQR, Q = I, R = 1, balance"
+_LEAST = "least variation"
 _UNTRAINED = Evaluation(0, 0.0, 0.0, np.nan, 0.0, 0.0)
 _STREAM = 9241  # sets these starts apart from those of training and evaluation
+_VARIATIONS = ("variation", "balancing", "balancing_noisy", "standing_noisy")
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#777777", "#000000")
 _LINES = ("-", "--", "-.", ":")
 
@@ -75,30 +84,32 @@ class Row:
     training: int
     """Its seed."""
     starts: int
-    successes: int
-    variation: float
+    successes: int = 0
+    variation: float = math.nan
     """Of the force, over the last four seconds of the runs that succeed, in force limits per second."""
-    balancing: float
+    balancing: float = math.nan
     """The same while balancing from λ = 0.1; NaN where no run succeeds."""
-    balancing_noisy: float
+    balancing_noisy: float = math.nan
     """The same with sensor noise."""
-    steps: int
+    standing_noisy: float = math.nan
+    """The same over the last four seconds."""
+    steps: int = 0
     """Environment steps of the whole training."""
-    steps_to_best: int
-    steps_to_half: int
+    steps_to_best: int = 0
+    steps_to_half: int = -1
     """Steps until an evaluation first saw half of its starts succeed; -1 where none did."""
-    steps_to_most: int
+    steps_to_most: int = -1
     """The same for 95 %."""
-    step_seconds: float
+    step_seconds: float = 0.0
     """Simulated time in a step, s."""
-    test_seconds: float
+    test_seconds: float = 0.0
     """Simulated time of the evaluations that chose the policy, at most, s."""
-    cpu_seconds: float
-    wall_seconds: float
+    cpu_seconds: float = 0.0
+    wall_seconds: float = 0.0
 
 
 def jobs(options: Options) -> list[Job]:
-    """List the work: the trainings of our own plant, and LQR."""
+    """List the work: the trainings of our own plant, LQR, and the least variation."""
     found = []
     for file in sorted(options.runs.glob("*/seed-*/policy.npz"), key=lambda file: (file.parts[-3], _seed(file))):
         if not json.loads((file.parent / "recipe.json").read_text(encoding="utf-8"))["recipe"]["env"]:
@@ -106,7 +117,7 @@ def jobs(options: Options) -> list[Job]:
     if options.quick:
         first = {job.setting: job for job in reversed(found)}
         found = list(first.values())[:3]
-    return [*found, Job(_LQR)]
+    return [*found, Job(_LQR), Job(_LEAST)]
 
 
 def _seed(file: Path) -> int:
@@ -118,6 +129,10 @@ def run(job: Job, options: Options) -> Result:
     n = 20 if options.quick else options.starts
     rig, task, curve, best, period = dpend.rig("gustafsson2016"), "balance", [_UNTRAINED], 0, 0.0
     tests = 0.0
+    if job.setting == _LEAST:
+        starts = _starts(rig, n, options.seed)[:50]
+        least = float(np.mean([least_variation(rig, x0) for x0 in starts]))
+        return Result([Row(learner=_LEAST, training=0, starts=len(starts), balancing=least)])
     if job.setting == _LQR:
         controller: dpend.Controller = LQR(rig)
         period = rig.sample_time
@@ -131,14 +146,16 @@ def run(job: Job, options: Options) -> Result:
         curve, best = read_curve(folder / "curve.csv"), policy.about["evaluation"]["steps"]
         tests = len(curve) * recipe["evaluation_starts"] * _EVALUATED[task]
     success, variation = evaluate(controller, task, rig, n, [_STREAM, options.seed])
+    noisy, standing = _balancing(rig.replace(sensor_noise=_NOISE), controller, n, options.seed)
     row = Row(
         learner=job.setting,
         training=job.repetition,
         starts=n,
         successes=round(success * n),
         variation=variation,
-        balancing=_balancing(rig, controller, n, options.seed),
-        balancing_noisy=_balancing(rig.replace(sensor_noise=_NOISE), controller, n, options.seed),
+        balancing=_balancing(rig, controller, n, options.seed)[0],
+        balancing_noisy=noisy,
+        standing_noisy=standing,
         steps=curve[-1].steps,
         steps_to_best=best,
         steps_to_half=next((seen.steps for seen in curve if seen.success >= 0.5), -1),
@@ -152,12 +169,67 @@ def run(job: Job, options: Options) -> Result:
     return Result([row], traces)
 
 
-def _balancing(rig: dpend.Rig, controller: dpend.Controller, n: int, seed: int) -> float:
-    """Give the mean variation of the force while balancing, over the runs that succeed."""
-    task = dpend.Balance(lam=0.1)
-    starts = task.starts(np.random.default_rng([_STREAM, seed, 1]), min(n, 200), rig)
-    runs = dpend.simulate_many(rig, controller, starts, task=task, seed=seed)
-    return float(runs.metrics()["variation"][runs.success].mean()) if runs.success.any() else np.nan
+_GENTLE = dpend.Balance(lam=0.1)
+
+
+def _starts(rig: dpend.Rig, n: int, seed: int) -> Array:
+    return _GENTLE.starts(np.random.default_rng([_STREAM, seed, 1]), min(n, 200), rig)
+
+
+def _balancing(rig: dpend.Rig, controller: dpend.Controller, n: int, seed: int) -> tuple[float, float]:
+    """Give the mean variation of the force while balancing, over the runs that succeed: of all, of the last four s."""
+    runs = dpend.simulate_many(rig, controller, _starts(rig, n, seed), task=_GENTLE, seed=seed)
+    if not runs.success.any():
+        return math.nan, math.nan
+    last = runs.u[runs.success, -round(4.0 / rig.sample_time) :]
+    of_last = force_metrics(last, rig.sample_time, rig.force_limit)["variation"]
+    return float(runs.metrics()["variation"][runs.success].mean()), float(of_last.mean())
+
+
+def least_variation(rig: dpend.Rig, x0: Array) -> float:
+    r"""Give the least variation of a force that balances the linearised plant, in force limits per second.
+
+    .. math:: \min_u \frac{1}{T u_\max}\sum_{k=1}^{N-1} |u_k - u_{k-1}|
+              \quad\text{with}\quad x_{k+1} = A x_k + B u_k,\ |u_k| \le u_\max,
+
+    cart and links within the limits of :class:`dpend.Balance` for its :math:`N` samples.  The force before the first
+    sample is free, as it is in the metric, and nothing is asked of the end.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    x0 : ndarray (6,)
+        The start.
+
+    Returns
+    -------
+    float
+        Infinite where no force balances it.
+    """
+    samples = _GENTLE.steps
+    A, B = discretize(*linearize(rig.params), rig.sample_time)
+    # Unknown are x_1 .. x_N, u_0 .. u_{N-1} and bounds on the N - 1 changes.
+    changes = sparse.eye_array(samples - 1)
+    over_time, each = sparse.eye_array(samples, k=-1), sparse.eye_array(samples)
+    states = sparse.eye_array(6 * samples) - sparse.kron(over_time, A)
+    dynamics = sparse.hstack([states, -sparse.kron(each, B), sparse.csr_array((6 * samples, samples - 1))])
+    from_start = np.zeros(6 * samples)
+    from_start[:6] = A @ x0
+    differences = sparse.eye_array(samples - 1, samples, k=1) - sparse.eye_array(samples - 1, samples)
+    no_states = sparse.csr_array((samples - 1, 6 * samples))
+    sides = [sparse.hstack([no_states, sign * differences, -changes]) for sign in (1.0, -1.0)]
+    limits = [float(rig.track_limit), *map(float, _GENTLE.angle_limits), math.inf, math.inf, math.inf] * samples
+    limits += [float(rig.force_limit)] * samples
+    found = linprog(
+        np.concatenate([np.zeros(7 * samples), np.ones(samples - 1)]),
+        A_ub=sparse.vstack(sides),
+        b_ub=np.zeros(2 * (samples - 1)),
+        A_eq=dynamics,
+        b_eq=from_start,
+        bounds=[*((-limit, limit) for limit in limits), *[(0.0, math.inf)] * (samples - 1)],
+    )
+    return found.fun / float(rig.force_limit) / (samples * rig.sample_time) if found.status == 0 else math.inf
 
 
 def shipped() -> list[Row]:
@@ -168,7 +240,7 @@ def shipped() -> list[Row]:
 
 def plot(rows: list[Row], traces: Traces) -> Figure:
     """Draw success against environment steps: medians over trainings, each training thin."""
-    names = [name for name in dict.fromkeys(row.learner for row in rows) if name != _LQR]
+    names = [name for name in dict.fromkeys(row.learner for row in rows) if name not in (_LQR, _LEAST)]
     figure = Figure(figsize=(6.3, 3.6 + 0.22 * len(names)), layout="constrained")
     axis: Axes = figure.subplots()
     for place, name in enumerate(names):
@@ -207,6 +279,7 @@ def summary(rows: list[Row], traces: Traces) -> RenderableType:
         "last 4 s",
         "balancing",
         "noisy",
+        "standing",
         "to 95 %",
         "steps",
         "CPU s",
@@ -219,9 +292,15 @@ def summary(rows: list[Row], traces: Traces) -> RenderableType:
         table.add_row(
             learner,
             str(len(own)),
-            f"{100 * rate.share:.1f}\n\\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]",
-            " ".join(f"{100 * row.successes / row.starts:.1f}" for row in own),
-            *(_middle([getattr(row, name) for row in own]) for name in ("variation", "balancing", "balancing_noisy")),
+            *(
+                (
+                    f"{100 * rate.share:.1f}\n\\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]",
+                    " ".join(f"{100 * row.successes / row.starts:.1f}" for row in own),
+                )
+                if learner != _LEAST
+                else ("-", "-")
+            ),
+            *(_middle([getattr(row, name) for row in own]) for name in _VARIATIONS),
             f"{np.median(reached):,.0f} ({len(reached)})" if reached else "-",
             f"{np.median([row.steps for row in own]):,.0f}",
             f"{np.median([row.cpu_seconds for row in own]):.0f}",

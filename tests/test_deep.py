@@ -148,6 +148,7 @@ def test_the_adapter_gives_the_observations_and_rewards_of_its_equations(action_
     recipe = DeepRecipe(copies=8, action_rate=action_rate)
     copies, envs = Copies(training_envs(recipe), recipe), training_envs(recipe)
     copies.seed(3)
+    copies.grown = 0.6
     o = copies.reset()
     y, _ = envs.reset(seed=3)
     scales, rng, last, ended = observation_scales(RIG), np.random.default_rng(0), np.zeros(8), 0
@@ -166,7 +167,7 @@ def test_the_adapter_gives_the_observations_and_rewards_of_its_equations(action_
         a = actions[:, 0].astype(float)
         cos1, cos2 = np.cos(np.where((terminated | truncated)[:, None], finals(told), y)[:, 1:3]).T
         near = np.exp(-5.0 * (2.0 - cos1 - cos2))
-        expected = expected - 0.005 * a**2 - action_rate * np.abs(a - last) * near
+        expected = expected - 0.005 * a**2 - 0.6 * action_rate * np.abs(a - last) * near
         np.testing.assert_allclose(rewards, expected, rtol=1e-6, atol=1e-6)
         np.testing.assert_array_equal(dones, terminated | truncated)
         for i in np.flatnonzero(dones):
