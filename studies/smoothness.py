@@ -1,11 +1,12 @@
 """How smooth is each controller's force, and what does smoothness cost?
 
-Method: every controller balances gustafsson2016 from λ = 0.1 and 0.3 for 6 s and swings it up from hanging in 10 s,
-with perfect sensors and with noise of 0.002 (m, rad, m/s, rad/s) on every measured state; all meet the same starts and
-the same noise, planners the first part of them.  Measured is the force, over the whole of the runs that succeed, since
-one that falls early has figures of its fall; beside it stand all runs, and the ratio to one reference (LQR, TVLQR, or
-the same controller without a device) on the starts that both save.  Medians over starts with 95 % order-statistic
-intervals; success with Wilson's.  Learned controllers are the policies that are shipped, one training of each.
+Method: every controller balances gustafsson2016 from λ = 0.1 and 0.3 for 6 s, and swings it up from hanging (angles
+within 0.1 rad) in 10 s, with perfect sensors and with noise of 0.002 (m, rad, m/s, rad/s) on every measured state; all
+meet the same starts and the same noise, planners the first part of them.  Measured is the force over the whole of the
+runs that succeed, since one that falls early has figures of its fall; beside it stand all runs, and the ratio to one
+reference (LQR, TVLQR, or the same controller without a device) on the starts that both save.  Medians over starts with
+95 % order-statistic intervals; success with Wilson's.  Learned controllers are the policies that are shipped, one
+training of each.
 
 Then what smoothing costs at λ = 0.3: a rate limit and a low-pass around LQR, the sign of a stiff LQR and Q-learning; a
 cost on the change of force in NMPC; a² among Q-learning's features; and of the swing-up, trainings with a penalty on
@@ -32,7 +33,6 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 from rich.console import Group, RenderableType
-from rich.table import Table
 
 import dpend
 from controllers import NMPC, LowPass, RateLimit
@@ -43,14 +43,15 @@ from rl import load_policy
 
 from . import _entrants, _study
 from ._entrants import RIG, Style, styles
-from ._intervals import Rate, median, wilson
+from ._intervals import Rate, median, over_seeds, wilson
 from ._labels import place_labels
+from ._page import Cell, Column, markdown, terminal
 from ._study import Job, Result, Traces
 
 TASKS: dict[str, dpend.Balance | dpend.SwingUp] = {
     "balance 0.1": dpend.Balance(lam=0.1),
     "balance 0.3": dpend.Balance(lam=0.3),
-    "swing-up": dpend.SwingUp(start="hanging", steps=500),
+    "swing-up": dpend.SwingUp(start="hanging", spread=0.1, steps=500),
 }
 CONDITIONS = {"perfect": 0.0, "noise": 0.002}
 """Standard deviations of the noise on every measured state."""
@@ -576,77 +577,130 @@ def _present(rows: list[Row]) -> list[str]:
     return list(dict.fromkeys(row.controller for row in rows if row.device == "none"))
 
 
-# --------------------------------------------------------------------------------------------------------- the summary
+# ---------------------------------------------------------------------------------------------------------- the tables
 
 _COLUMNS = {
-    "variation": "variation", "slew": "slew", "switches": "switches", "saturated": "saturated, %",
-    "spectral_share": "> 5 Hz, %", "effort": "effort", "travel": "travel", "caps_sm": "Sm", "std_step": "std Δu",
+    "variation": "variation, u_max/s", "slew": "slew, u_max/s", "switches": "switches, 1/s",
+    "saturated": "saturated, %", "spectral_share": "above 5 Hz, %", "effort": "effort, N² s", "travel": "track, m",
+    "caps_sm": "Sm", "std_step": "std Δu, N",
 }  # fmt: skip
+_SHARES = ("saturated", "spectral_share")
+
+
+class Sheet(NamedTuple):
+    """A table with what stands above it."""
+
+    title: str
+    columns: list[Column]
+    lines: list[list[Cell]]
+
+
+def sheets(rows: list[Row]) -> list[Sheet]:
+    """Condense the table: metrics by task and sensors, what each device costs and buys, and deep trainings.
+
+    Parameters
+    ----------
+    rows : list of Row
+        The table.
+
+    Returns
+    -------
+    list of Sheet
+    """
+    every = [_metrics_sheet(rows, task, condition) for task in TASKS for condition in CONDITIONS]
+    return [sheet for sheet in (*every, _devices_sheet(rows), _trainings_sheet(rows)) if sheet.lines]
 
 
 def summary(rows: list[Row], traces: Traces) -> RenderableType:
-    """Condense the table: metrics by task and sensors, and what each device costs and buys."""
-    tables = [_metrics_table(rows, task, condition) for task in TASKS for condition in CONDITIONS]
-    return Group(*tables, _devices_table(rows))
+    """Show the tables."""
+    return Group(*(terminal(*sheet) for sheet in sheets(rows)))
 
 
-def _metrics_table(rows: list[Row], task: str, condition: str) -> Table:
-    table = Table(
-        title=f"{_TITLES[task]}, {_WORDS[condition]}: medians over the runs that succeed; "
-        f"the ratio of variations is to {REFERENCES[task]} on the starts that both save"
-    )
-    table.add_column("controller")
-    for heading in ("success, %", *_COLUMNS.values(), "ratio"):
-        table.add_column(heading, justify="right")
+def pages(rows: list[Row], traces: Traces) -> dict[str, str]:
+    """Write the tables as Markdown."""
+    tables = [f"## {title}\n\n{markdown(columns, lines)}\n" for title, columns, lines in sheets(rows)]
+    return {"tables.md": "\n".join(["# Smoothness: all tables\n", *tables])}
+
+
+def _headed(words: list[str], numbers: list[str]) -> list[Column]:
+    return [Column("", heading, "", words=True) for heading in words] + [Column("", heading, "") for heading in numbers]
+
+
+def _percent(rate: Rate) -> Cell:
+    return Cell(f"{100 * rate.share:.1f}", f"[{100 * rate.low:.1f}, {100 * rate.high:.1f}]")
+
+
+def _number(value: float, low: float = np.nan, high: float = np.nan) -> Cell:
+    """Write a number with three digits that count, and its interval where there is one."""
+    if np.isnan(value):
+        return Cell()
+    text, *ends = (f"{end:,.0f}" if abs(end) >= 100 else f"{end:.3g}" for end in (value, low, high))
+    return Cell(text, "" if np.isnan(low) else f"[{ends[0]}, {ends[1]}]")
+
+
+def _metrics_sheet(rows: list[Row], task: str, condition: str) -> Sheet:
+    title = f"{_TITLES[task][0].upper()}{_TITLES[task][1:]}, {_WORDS[condition]}"
+    against = REFERENCES[task]
+    lines = []
     for name in _present(rows):
         same = {"controller": name, "task": task, "condition": condition, "device": "none"}
-        own = {row.metric: row for row in rows if all(getattr(row, key) == value for key, value in same.items())}
+        own = {metric: row for metric in METRICS for row in found(rows, metric, **same)}
         if not own:
             continue
-        first, rate = own["variation"], success(own["variation"])
-        cells = [
-            f"{own[metric].median * (100 if metric in ('saturated', 'spectral_share') else 1):.3g}"
-            for metric in _COLUMNS
-        ]
-        table.add_row(
-            name,
-            f"{100 * rate.share:.1f} \\[{100 * rate.low:.1f}, {100 * rate.high:.1f}] of {first.starts}",
-            *(cells if first.successes else ["-"] * len(cells)),
-            f"{first.ratio:.3g} \\[{first.ratio_low:.3g}, {first.ratio_high:.3g}]" if first.both else "-",
-        )
-    return table
+        first = own["variation"]
+        cells = [_number(own[metric].median * (100 if metric in _SHARES else 1)) for metric in _COLUMNS]
+        cells[0] = _number(first.median, first.low, first.high)
+        ratio = _number(first.ratio, first.ratio_low, first.ratio_high)
+        lines.append([Cell(name), Cell(str(first.starts)), _percent(success(first)), *cells, ratio])
+    numbers = ["starts", "success, %", *_COLUMNS.values(), f"variation, times that of {against}"]
+    return Sheet(title, _headed(["controller"], numbers), lines)
 
 
-def _devices_table(rows: list[Row]) -> Table:
-    table = Table(
-        title="Devices: success, variation (1/s), and its ratio to the same without the device on the starts "
-        "that both save (trainings: to TVLQR, LQR); of several trainings the medians"
-    )
-    for heading in ("device", "setting", "controller", "task", "sensors", "success, %", "variation", "ratio"):
-        table.add_column(heading, justify="left" if heading in ("device", "controller", "task", "sensors") else "right")
-    keys = dict.fromkeys(
-        (row.device, row.setting, row.controller, row.task, row.condition) for row in rows if row.device != "none"
-    )
-    for key in keys:
-        names = ("device", "setting", "controller", "task", "condition")
-        wanted: dict[str, object] = dict(zip(names, key, strict=True))
-        own = found(rows, "variation", **wanted)
-        share = np.median([row.successes / row.starts for row in own])
-        values = [row for row in own if row.successes]
-        cells = [
-            np.median([getattr(row, name) for row in values]) if values else np.nan for name in ("median", "ratio")
-        ]
-        device, setting, controller, task, condition = key
-        table.add_row(
-            device,
-            f"{setting:g}",
-            controller,
-            task,
-            condition,
-            f"{100 * share:.1f}",
-            *(f"{cell:.3g}" for cell in cells),
-        )
-    return table
+def _devices_sheet(rows: list[Row]) -> Sheet:
+    lines = []
+    for device, about in DEVICES.items():
+        for name in dict.fromkeys(row.controller for row in found(rows, "variation", device=device)):
+            settings = dict.fromkeys(
+                row.setting for row in found(rows, "variation", device=device, controller=name, task=_DEVICE_TASK)
+            )
+            for worn, setting in (("none", 0.0), *((device, setting) for setting in settings)):
+                line = [Cell(about.parameter), Cell(name), Cell("none" if worn == "none" else f"{setting:g}")]
+                for condition in CONDITIONS:
+                    (row,) = found(
+                        rows, "variation", controller=name, device=worn, setting=setting, task=_DEVICE_TASK,
+                        condition=condition,
+                    )  # fmt: skip
+                    ratio = Cell() if worn == "none" else _number(row.ratio, row.ratio_low, row.ratio_high)
+                    line += [_percent(success(row)), _number(row.median), ratio]
+                lines.append(line)
+    numbers = [
+        f"{what}{said}"
+        for said in ("", ", noise")
+        for what in ("success, %", "variation, u_max/s", "times that without")
+    ]
+    title = "What devices cost and buy: balancing, λ = 0.3; the ratio is on the starts saved with it and without it"
+    return Sheet(title, _headed(["device", "controller"], ["setting", *numbers]), lines)
+
+
+def _trainings_sheet(rows: list[Row]) -> Sheet:
+    trained = [row for row in rows if row.metric == "variation" and row.device not in ("none", *DEVICES)]
+    lines = []
+    for name in dict.fromkeys(row.controller for row in trained):
+        own = [row for row in trained if row.controller == name]
+        line = [Cell(name), Cell(own[0].device), Cell(str(len({row.training for row in own})))]
+        for task in ("swing-up", "balance 0.1"):
+            same = found(own, "variation", task=task, condition="perfect")
+            line.append(_percent(over_seeds([row.successes for row in same], same[0].starts)))
+            for condition in CONDITIONS:
+                values = [row.median for row in found(own, "variation", task=task, condition=condition)]
+                known = [value for value in values if np.isfinite(value)]
+                line.append(_number(*median(known)) if len(known) > 1 else _number(*known or [np.nan]))
+        lines.append(line)
+    numbers = ["trainings"]
+    for task in ("swing-up", "λ = 0.1"):
+        numbers += [f"{task}: success, %", "variation, u_max/s", "variation, noise"]
+    title = "Deep trainings with and without a device, each started from nothing; medians over trainings"
+    return Sheet(title, _headed(["training", "device"], numbers), lines)
 
 
 if __name__ == "__main__":

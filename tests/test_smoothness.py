@@ -78,10 +78,11 @@ def test_a_controller_of_your_own_stands_in_figures_and_tables(options):
     assert [title for title in titles if title in ("LQR", "Wave", "Steady")] == ["LQR", "Wave", "Steady"]
     _, labels = figures["_devices"].axes[0].get_legend_handles_labels()
     assert labels == ["LQR", "Wave", "Steady"]
-    console = Console(width=200)
+    console = Console(width=300)
     with console.capture() as shown:
         console.print(smoothness.summary(rows, traces))
-    assert sum("Steady" in line for line in shown.get().splitlines()) == len(smoothness.TASKS) * 2 + 4
+    told = [line for line in smoothness.pages(rows, traces)["tables.md"].splitlines() if "Steady" in line]
+    assert sum("Steady" in line for line in shown.get().splitlines()) == len(told) == len(smoothness.TASKS) * 2 + 4
 
 
 def test_medians_are_over_the_runs_that_succeed_and_a_reference_is_once_itself():
