@@ -47,6 +47,7 @@ _GAP = 1e-3  # largest defect of a plan, in any state's unit, that is still foll
 _COLD_ITERATIONS = 100
 _ARRIVED = 0.2  # rad, within which a first plan's end must be for no further guesses to be made
 _WARM_BARRIER, _COLD_BARRIER = 1e-3, 1e-1
+_STUCK = 5  # failures in a row after which the solver goes on from where it stopped
 
 Plan = tuple[Array, Array]
 """States ``(N + 1, nx)`` and forces ``(N, 1)``."""
@@ -120,7 +121,9 @@ class NMPC:
     Notes
     -----
     A run records ``status`` (:class:`PlanStatus`), ``iterations`` and ``solve_time`` (s) of each step; those of the
-    first step are the sums over its guesses.  The plan's Hessian is Gauss and Newton's, so it is never indefinite.
+    first step are the sums over its guesses.  Where five solves in a row have failed, the plan that is followed is a
+    poor guess, and each solve begins where the one before stopped.  The plan's Hessian is Gauss and Newton's, so it is
+    never indefinite.
 
     The solver is built when a run first needs it, once a process for equal settings; compiled code is kept in the
     user's cache folder.  Source: J. Rawlings, D. Mayne and M. Diehl, *Model Predictive Control*, 2017, chapter 8;
@@ -363,6 +366,8 @@ class _Planner:
         self._high = program.pack(highest, np.full((program.horizon, 1), self._force))
         self._low = -self._high
         self._plan: Plan | None = None
+        self._reached: Plan | None = None  # where the solver stopped, if it is stuck
+        self._failures = 0
         self._u = 0.0
 
     def __call__(self, t: float, y: Array) -> Array:
@@ -373,9 +378,13 @@ class _Planner:
         if self._plan is None:
             self._plan, status, iterations, seconds = self._first_plan(t, x)
         else:
-            guess = self._moved_on(t, self._plan)
+            planned = self._moved_on(t, self._plan)
+            guess = planned if self._reached is None else self._moved_on(t, self._reached)
             plan, status, iterations, seconds, _ = self._solve(self._problem.warm, t, x, guess)
-            self._plan = guess if status is PlanStatus.SHIFTED else plan
+            failed = status is PlanStatus.SHIFTED
+            self._failures = self._failures + 1 if failed else 0
+            stuck = self._failures >= _STUCK and all(np.isfinite(part).all() for part in plan)
+            self._plan, self._reached = planned if failed else plan, plan if stuck else None
         for name, value in (("status", status), ("iterations", iterations), ("solve_time", seconds)):
             self.log[name].append(float(value))
         self._u = float(np.clip(self._plan[1][0, 0], -self._force, self._force))

@@ -291,6 +291,23 @@ def test_it_swings_up_within_the_limits(cost: Any, start: str) -> None:
         assert (runs.log["status"] != PlanStatus.SHIFTED).all()
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("th1", "th2"), [(1.6371717, 1.55626973), (3.20777324, 3.06189054)])
+def test_a_solver_that_fails_again_and_again_begins_elsewhere_before_the_plan_is_used_up(
+    th1: float, th2: float
+) -> None:
+    controller = NMPC(RIG, cost="energy")  # from these starts the shifted plan is never a good guess again
+    task = dpend.SwingUp(steps=150, hold=0.3)
+    run = dpend.simulate(RIG, controller, [0.0, th1, th2, 0.0, 0.0, 0.0], task=task)
+    in_a_row = longest = 0
+    for status in run.log["status"]:
+        in_a_row = in_a_row + 1 if status == PlanStatus.SHIFTED else 0
+        longest = max(longest, in_a_row)
+    assert 5 <= longest < controller.samples
+    assert run.success
+    assert np.abs(run.x[:, 0]).max() < 2.4 - 0.02 + 1e-3
+
+
 def test_what_is_no_number_is_taken_as_planned_and_the_force_stays_one() -> None:
     x = np.array([0.0, 0.1, -0.1, 0.0, 0.0, 0.0])
     broken = np.array([0.0, np.nan, 0.1, 0.0, 0.0, 0.0])
