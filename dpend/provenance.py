@@ -8,7 +8,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 
-_LIBRARIES = ("dpend", "numpy", "scipy", "numba", "control", "gymnasium", "matplotlib")
+_LIBRARIES = ("dpend", "numpy", "scipy", "numba", "casadi", "control", "gymnasium", "matplotlib")
 
 
 @cache

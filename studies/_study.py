@@ -281,8 +281,11 @@ def _write(file: Path, text: str) -> None:
 
 
 def _source(name: str) -> str:
-    packages = [_ROOT / package for package in ("dpend", "controllers", "rl")]
-    return fingerprint(*packages, *Path(__file__).parent.glob("_*.py"), _ROOT / (name.replace(".", "/") + ".py"))
+    """Hash all code that a result may depend on, and what is shipped beside it: trajectories and trained policies."""
+    packages = [_ROOT / package for package in ("dpend", "controllers", "controllers/data", "rl")]
+    shipped = [*(_ROOT / "controllers" / "data").glob("*.npz"), *(_ROOT / "rl" / "trained").glob("*.npz")]
+    study = (*Path(__file__).parent.glob("_*.py"), _ROOT / (name.replace(".", "/") + ".py"))
+    return fingerprint(*packages, *shipped, *study)
 
 
 def _key(name: str, job: Job, options: Options) -> str:

@@ -159,6 +159,14 @@ def test_a_result_is_kept_only_for_the_same_sources_versions_and_options(what, m
     assert _study._key("studies.lambda_sweep", job, options) != before
 
 
+def test_a_result_depends_on_what_is_shipped_with_the_code(monkeypatch):
+    counted = []
+    monkeypatch.setattr(_study, "fingerprint", lambda *sources: counted.extend(sources) or "")
+    _study._source("studies.swing_up")
+    names = {file.name for file in counted}
+    assert {"ppo-swing-up.npz", "gustafsson2016_hanging_up-up_effort.npz", "swing_up.py", "_entrants.py"} <= names
+
+
 def test_the_published_sweep_covers_every_combination():
     rows = [
         row
