@@ -173,7 +173,7 @@ def test_only_the_stepper_advances_the_plant_and_only_learners_and_planners_call
     }
     assert {name for name, names in taken.items() if "plant_step" in names} == {"dpend/stepper.py"}
     callers = {name for name, names in taken.items() if names & {"sample", "rk4"}}
-    assert {name for name in callers if not name.startswith("rl/")} <= {"controllers/ilqr.py"}  # it plans ahead
+    assert {name for name in callers if not name.startswith("rl/")} <= {"controllers/ilqr_kernels.py"}  # it plans ahead
     stating = {name for name, path in SOURCES.items() if "make_rk4" in path.read_text()}
     assert stating == {"dpend/equations.py", "dpend/kernels.py", "dpend/symbolic.py"}
 
@@ -194,7 +194,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "matplotlib": ("dpend/draw.py", "studies/*"),
     "torch": ("rl/sb3.py", "rl/pilco.py"),
     "stable_baselines3": ("rl/sb3.py",),
-    "numba": ("dpend/kernels.py", "controllers/ilqr.py", "rl/*"),
+    "numba": ("dpend/kernels.py", "controllers/ilqr_kernels.py", "rl/*"),
     "control": ("controllers/*",),
     "dask": ("studies/_study.py",),
     "distributed": ("studies/_study.py",),

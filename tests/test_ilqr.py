@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rigs import endless, random_params, random_states, whole
 
 import dpend
-from controllers import ILQRMPC, LQR, Trajectory, ilqr
+from controllers import ILQRMPC, LQR, Trajectory, ilqr, ilqr_kernels
 from dpend import SwingUp, equations
 from dpend.params import Array
 from dpend.rig import Rig
@@ -58,7 +58,7 @@ def test_the_slopes_of_a_sample_are_those_of_the_complex_step(substeps: int) -> 
     N = 40  # more than a block
     x, u = random_states(rng, N + 1), rng.uniform(-40, 40, N)
     D = np.empty((N, 6, 8))
-    inside._linearise(x, u, planner(rig).problem, D)
+    ilqr_kernels.linearise(x, u, planner(rig).problem, D)
     rk4 = equations.make_rk4(equations.make_rates(np.sin, np.cos))
     for column in range(7):
         moved, force = x[:-1].T.astype(complex), u.astype(complex)
@@ -79,7 +79,7 @@ def test_on_a_linear_quadratic_problem_the_backward_pass_gives_the_riccati_gain(
     D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
     A, B = (np.asarray(part) for part in dpend.discretize(*dpend.linearize(mpc.rig.params), mpc.rig.sample_time))
     D[:, :, :6], D[:, :, 6:7], D[:, :, 7] = A, B, 0.0
-    inside._backward(x, u, mpc.problem, mpc.P, D, 0.0, du, K)
+    ilqr_kernels.backward(x, u, mpc.problem, mpc.P, D, 0.0, du, K)
     assert_allclose(K, np.tile(-mpc.lqr.K, (20, 1)), rtol=1e-7)
     assert_array_equal(du, 0.0)
 
@@ -88,8 +88,8 @@ def test_a_clamped_force_has_no_feedback_and_stays_in_the_box() -> None:
     mpc = planner(RIG, horizon=20)
     plan = mpc.straight(mpc.problem, np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0]))
     D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
-    inside._linearise(plan.x, plan.u, mpc.problem, D)
-    inside._backward(plan.x, plan.u, mpc.problem, mpc.P, D, 0.0, du, K)
+    ilqr_kernels.linearise(plan.x, plan.u, mpc.problem, D)
+    ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 0.0, du, K)
     clamped = np.abs(plan.u + du) == RIG.force_limit
     assert clamped.any()
     assert not clamped.all()
@@ -116,7 +116,7 @@ def test_the_cost_that_is_told_is_that_of_the_motion() -> None:
     rig = RIG
     plan = ilqr(rig, HANGING, horizon=60, starts=0, iterations=5)
     mpc = planner(rig, horizon=60)
-    e = np.stack([_residuals(x, inside._near(tuple(x), mpc.problem)) for x in plan.x])
+    e = np.stack([_residuals(x, ilqr_kernels.nearest_target(tuple(x), mpc.problem)) for x in plan.x])
     over = np.maximum(np.abs(plan.x[:, 0]) - 2.25, 0)
     stages = (e[:-1] ** 2 * mpc.Q).sum() + 0.1 * (plan.u**2).sum() + 1e4 * (over**2).sum()
     assert_allclose(plan.about["cost"], stages + e[-1] @ LQR(rig, mpc.Q, 0.1).P @ e[-1], rtol=1e-9)

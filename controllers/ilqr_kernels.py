@@ -1,0 +1,412 @@
+"""The compiled loops of iLQR: a plan's cost, its derivatives, the backward pass and the rollout, and what repeats them.
+
+Gradients and Hessians are halved throughout: the cost is a sum of squares, and the factors of two cancel.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from dpend.kernels import acceleration_slopes, ahead, compiled, cos, inline, rates, sample, sin
+from dpend.params import Coefficients
+
+from .residuals import make_residuals
+
+_TURN = 2 * math.pi
+_residuals = inline(make_residuals(sin))
+_BLOCK = 32  # samples linearised side by side, so that LLVM turns the loop over them into vector instructions
+NO_GAPS = np.empty((0, 6, 8))
+
+
+class Problem(NamedTuple):
+    """What the compiled code needs to know."""
+
+    coefficients: tuple[float, ...]
+    h: float
+    substeps: int
+    force_limit: float
+    target: tuple[float, ...]
+    turn: float
+    """Angle after which the target recurs; zero where only this target counts."""
+    Q: tuple[float, ...]
+    R: float
+    soft_track: float
+    track_weight: float
+    soft_angle: float
+    angle_weight: float
+
+
+@inline
+def _row(a, k):
+    return a[k, 0], a[k, 1], a[k, 2], a[k, 3], a[k, 4], a[k, 5]
+
+
+@inline
+def _put(a, k, x):
+    a[k, 0] = x[0]
+    a[k, 1] = x[1]
+    a[k, 2] = x[2]
+    a[k, 3] = x[3]
+    a[k, 4] = x[4]
+    a[k, 5] = x[5]
+
+
+@inline
+def _clip(u, limit):
+    return max(min(u, limit), -limit)
+
+
+def nearest_target(x, p):
+    """Give the target by the whole turns that are nearest to a state."""
+    pos, th1, th2, vel, om1, om2 = p.target
+    return (
+        pos,
+        th1 + p.turn * np.rint((x[1] - th1) * (1.0 / _TURN)),
+        th2 + p.turn * np.rint((x[2] - th2) * (1.0 / _TURN)),
+        vel,
+        om1,
+        om2,
+    )
+
+
+_nearest = inline(nearest_target)
+
+
+@inline
+def _beyond(value, soft):
+    """Give by how much, with its sign, a value is beyond a bound on either side."""
+    return max(value - soft, 0.0) + min(value + soft, 0.0)
+
+
+@inline
+def _walls(x, target, p):
+    """Give how far a state is into the walls."""
+    return (
+        _beyond(x[0], p.soft_track),
+        _beyond(x[1] - target[1], p.soft_angle),
+        _beyond(x[2] - target[2], p.soft_angle),
+    )
+
+
+@inline
+def _wall_cost(x, target, p):
+    a, b, c = _walls(x, target, p)
+    return p.track_weight * a * a + p.angle_weight * (b * b + c * c)
+
+
+@inline
+def _stage_cost(x, u, p):
+    target = _nearest(x, p)
+    r = _residuals(x, target)
+    cost = p.R * u * u + _wall_cost(x, target, p)
+    for i in range(6):
+        cost += p.Q[i] * r[i] * r[i]
+    return cost
+
+
+@inline
+def _final_cost(x, P, p):
+    target = _nearest(x, p)
+    r = _residuals(x, target)
+    cost = _wall_cost(x, target, p)
+    for i in range(6):
+        row = 0.0
+        for j in range(6):
+            row += P[i, j] * r[j]
+        cost += r[i] * row
+    return cost
+
+
+@compiled
+def cost_of(x, u, p, P):
+    """Give the cost of states and forces, be they a motion or not."""
+    cost = 0.0
+    for k in range(len(u)):
+        cost += _stage_cost(_row(x, k), u[k], p)
+    return cost + _final_cost(_row(x, len(u)), P, p)
+
+
+@inline
+def _residual_slopes(x, target):
+    """Give d e_i / d x_i; every residual depends on its own state alone."""
+    return 1.0, cos(0.5 * (x[1] - target[1])), cos(0.5 * (x[2] - target[2])), 1.0, 1.0, 1.0
+
+
+@inline
+def _add_walls(x, target, p, slopes, column, curvatures):
+    """Add the walls' halved slopes to a column of one array, and their halved curvatures to the diagonal of another."""
+    a, b, c = _walls(x, target, p)
+    slopes[0, column] += p.track_weight * a
+    slopes[1, column] += p.angle_weight * b
+    slopes[2, column] += p.angle_weight * c
+    curvatures[0, 0] += p.track_weight if a != 0.0 else 0.0
+    curvatures[1, 1] += p.angle_weight if b != 0.0 else 0.0
+    curvatures[2, 2] += p.angle_weight if c != 0.0 else 0.0
+
+
+@inline
+def _put_slopes(J, stage, j, slopes):
+    for a in range(6):
+        for b in range(3):
+            J[stage, 3 * a + b, j] = slopes[a][b]
+
+
+@inline
+def _tangent(J, s, j, z, push):
+    """Give the rates of a small deviation z under a small force, from the slopes at a stage."""
+    return (
+        z[3],
+        z[4],
+        z[5],
+        _along(J, s, 0, j, z, push),
+        _along(J, s, 1, j, z, push),
+        _along(J, s, 2, j, z, push),
+    )
+
+
+@inline
+def _along(J, s, b, j, z, push):
+    return (
+        J[s, b, j] * z[1]
+        + J[s, 3 + b, j] * z[2]
+        + J[s, 6 + b, j] * z[3]
+        + J[s, 9 + b, j] * z[4]
+        + J[s, 12 + b, j] * z[5]
+        + J[s, 15 + b, j] * push
+    )
+
+
+@compiled
+def linearise(x, u, p, D):
+    """Fill D (N, 6, 8): seven columns of slopes of the sample by (x, u), and the gap from the next state.
+
+    The four stages of a Runge-Kutta step are visited once, their slopes kept, and six deviations led through them; the
+    seventh, of the position, stays what it is.
+    """
+    c = Coefficients(*p.coefficients)
+    h = p.h
+    N = len(u)
+    now = np.empty((6, _BLOCK))
+    Z = np.empty((6, 6, _BLOCK))  # deviation, state, sample
+    J = np.empty((4, 18, _BLOCK))
+    for start in range(0, N, _BLOCK):
+        m = min(_BLOCK, N - start)
+        for j in range(m):
+            for i in range(6):
+                now[i, j] = x[start + j, i]
+        Z[:] = 0.0
+        for i in range(5):
+            Z[i, i + 1, :] = 1.0
+        for _ in range(p.substeps):
+            for j in range(m):
+                f = (u[start + j], 0.0, 0.0)
+                x1 = (now[0, j], now[1, j], now[2, j], now[3, j], now[4, j], now[5, j])
+                k1 = rates(x1, f, c)
+                _put_slopes(J, 0, j, acceleration_slopes(x1, k1[3:], c))
+                x2 = ahead(x1, k1, 0.5 * h)
+                k2 = rates(x2, f, c)
+                _put_slopes(J, 1, j, acceleration_slopes(x2, k2[3:], c))
+                x3 = ahead(x1, k2, 0.5 * h)
+                k3 = rates(x3, f, c)
+                _put_slopes(J, 2, j, acceleration_slopes(x3, k3[3:], c))
+                x4 = ahead(x1, k3, h)
+                k4 = rates(x4, f, c)
+                _put_slopes(J, 3, j, acceleration_slopes(x4, k4[3:], c))
+                for i in range(6):
+                    now[i, j] = x1[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+            for d in range(6):
+                push = 1.0 if d == 5 else 0.0
+                for j in range(m):
+                    z = (Z[d, 0, j], Z[d, 1, j], Z[d, 2, j], Z[d, 3, j], Z[d, 4, j], Z[d, 5, j])
+                    k1 = _tangent(J, 0, j, z, push)
+                    k2 = _tangent(J, 1, j, ahead(z, k1, 0.5 * h), push)
+                    k3 = _tangent(J, 2, j, ahead(z, k2, 0.5 * h), push)
+                    k4 = _tangent(J, 3, j, ahead(z, k3, h), push)
+                    for i in range(6):
+                        Z[d, i, j] = z[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+        for j in range(m):
+            k = start + j
+            for i in range(6):
+                D[k, i, 0] = 1.0 if i == 0 else 0.0
+                for d in range(6):
+                    D[k, i, d + 1] = Z[d, i, j]
+                D[k, i, 7] = now[i, j] - x[k + 1, i]
+
+
+@compiled
+def backward(x, u, p, P, D, damping, du, K):
+    r"""Run the Riccati recursion back to front; fill the steps of the forces du (N,) and the gains K (N, 6).
+
+    With the columns M = (A, B) of a sample, G = M'SM plus the stage's own curvature, and its last column the gradient.
+    Gives the halved first and second order changes of the cost under the full step, and the greatest halved slope of
+    the cost by any state.
+    """
+    N = len(u)
+    S = np.empty((6, 6))
+    s = np.empty((6, 1))
+    W = np.empty((6, 8))
+    G = np.empty((7, 8))
+    end = _row(x, N)
+    target = _nearest(end, p)
+    r = _residuals(end, target)
+    e = _residual_slopes(end, target)
+    for i in range(6):
+        total = 0.0
+        for j in range(6):
+            total += P[i, j] * r[j]
+            S[i, j] = e[i] * P[i, j] * e[j]
+        s[i, 0] = e[i] * total
+    _add_walls(end, target, p, s, 0, S)
+    first = 0.0
+    second = 0.0
+    steepest = 0.0
+    for k in range(N - 1, -1, -1):
+        for i in range(6):
+            for j in range(8):
+                W[i, j] = S[i, 0] * D[k, 0, j]
+            for b in range(1, 6):
+                for j in range(8):
+                    W[i, j] += S[i, b] * D[k, b, j]
+            W[i, 7] += s[i, 0]  # the gradient where the sample really ends, a gap away from the next state
+            steepest = max(steepest, abs(s[i, 0]))
+        for i in range(7):
+            for j in range(8):
+                G[i, j] = D[k, 0, i] * W[0, j]
+            for b in range(1, 6):
+                for j in range(8):
+                    G[i, j] += D[k, b, i] * W[b, j]
+        now = _row(x, k)
+        target = _nearest(now, p)
+        r = _residuals(now, target)
+        e = _residual_slopes(now, target)
+        for i in range(6):
+            G[i, 7] += p.Q[i] * e[i] * r[i]
+            G[i, i] += p.Q[i] * e[i] * e[i]
+        _add_walls(now, target, p, G, 7, G)
+        Qu = G[6, 7] + p.R * u[k]
+        Quu = G[6, 6] + p.R
+        damped = Quu * (1.0 + damping)
+        wished = -Qu / damped
+        step = max(min(wished, p.force_limit - u[k]), -p.force_limit - u[k])
+        gain = -1.0 / damped if step == wished else 0.0
+        du[k] = step
+        first += step * Qu
+        second += step * step * Quu
+        for i in range(6):
+            K[k, i] = gain * G[6, i]
+        for i in range(6):
+            s[i, 0] = G[i, 7] + step * G[6, i] + K[k, i] * (Quu * step + Qu)
+            for j in range(6):
+                S[i, j] = G[i, j] + K[k, i] * (Quu * K[k, j] + G[6, j]) + G[6, i] * K[k, j]
+    return first, second, steepest
+
+
+@compiled
+def rollout(x0, x, u, K, du, D, length, p, P, x_new, u_new):
+    """Follow u + length du + K (x_new - x), clipped; leave the share 1 - length of every gap; give the cost."""
+    c = Coefficients(*p.coefficients)
+    N = len(u)
+    left = 1.0 - length
+    now = (x0[0], x0[1], x0[2], x0[3], x0[4], x0[5])
+    cost = 0.0
+    for k in range(N):
+        _put(x_new, k, now)
+        force = u[k] + length * du[k]
+        for i in range(6):
+            force += K[k, i] * (x_new[k, i] - x[k, i])
+        force = _clip(force, p.force_limit)
+        u_new[k] = force
+        cost += _stage_cost(now, force, p)
+        now = sample(now, (force, 0.0, 0.0), c, p.h, p.substeps)
+        if left > 0.0:
+            now = (
+                now[0] - left * D[k, 0, 7],
+                now[1] - left * D[k, 1, 7],
+                now[2] - left * D[k, 2, 7],
+                now[3] - left * D[k, 3, 7],
+                now[4] - left * D[k, 4, 7],
+                now[5] - left * D[k, 5, 7],
+            )
+    _put(x_new, N, now)
+    return cost + _final_cost(now, P, p)
+
+
+@inline
+def _keep(x, u, K, x_new, u_new, K_new):
+    for k in range(len(u)):
+        u[k] = u_new[k]
+        _put(x, k, _row(x_new, k))
+        _put(K, k, _row(K_new, k))
+    _put(x, len(u), _row(x_new, len(u)))
+
+
+@compiled
+def improve(x, u, K, p, P, iterations, tolerance, trials):
+    """Improve a plan in place; give whether it converged, the iterations tried and accepted, and the cost.
+
+    While there are gaps, the cost counts them too, at twice the greatest slope by a state, which makes the penalty
+    exact.  Where a plan runs out of iterations with gaps left, they are closed by following it with its gains.
+    """
+    N = len(u)
+    D = np.empty((N, 6, 8))
+    du = np.zeros(N)
+    K_new = np.zeros((N, 6))
+    x_new = np.empty((N + 1, 6))
+    u_new = np.empty(N)
+    cost = cost_of(x, u, p, P)
+    start = np.empty(6)
+    for i in range(6):
+        start[i] = x[0, i]
+    damping = 0.0
+    price = 0.0
+    gaps = 0.0
+    fresh = False
+    converged = False
+    tried = 0
+    accepted = 0
+    while True:
+        if not fresh:
+            linearise(x, u, p, D)
+            gaps = 0.0
+            for k in range(N):
+                for i in range(6):
+                    gaps += abs(D[k, i, 7])
+            if gaps < 1e-9:
+                gaps = 0.0
+            fresh = True
+        if tried == iterations or damping > 1e6:
+            break
+        first, second, steepest = backward(x, u, p, P, D, damping, du, K_new)
+        if gaps == 0.0 and math.isfinite(cost) and -2.0 * first - second <= tolerance * cost:
+            _keep(x, u, K, x, u, K_new)
+            converged = True
+            break
+        price = max(price, 4.0 * steepest)
+        length = 1.0
+        tried += 1
+        better = False
+        cost_new = cost
+        for _ in range(trials):
+            cost_new = rollout(start, x, u, K_new, du, D, length, p, P, x_new, u_new)
+            if gaps == 0.0:
+                better = cost_new < cost + 1e-4 * length * (2.0 * first + length * second)
+            else:
+                better = cost_new + (1.0 - length) * gaps * price < cost + (1.0 - 1e-4 * length) * gaps * price
+            if better:
+                break
+            length *= 0.4
+        if better:
+            _keep(x, u, K, x_new, u_new, K_new)
+            cost = cost_new
+            accepted += 1
+            fresh = False
+            damping = 0.2 * damping if damping > 1e-3 else 0.0
+        else:
+            damping = max(10.0 * damping, 1e-2)
+    if gaps > 0.0:
+        cost = rollout(start, x, u, K, np.zeros(N), D, 1.0, p, P, x_new, u_new)
+        _keep(x, u, K, x_new, u_new, K)
+    return converged, tried, accepted, cost
