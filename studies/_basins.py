@@ -64,16 +64,14 @@ def plot_basins(basins: Mapping[str, Array], columns: int = 4) -> Figure:
     Figure
     """
     rows = -(-len(basins) // columns)
-    figure = Figure(figsize=(6.8, 1.8 * rows + 0.75), layout="constrained")
+    figure = Figure(figsize=(6.8, 1.65 * rows + 0.75), layout="constrained")
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axis, (name, saved) in zip(axes.flat, basins.items(), strict=False):
         _plot_basin(axis, saved)
         axis.set_title(f"{name}: {100 * part_saved(saved):.0f} %", fontsize=7.5, pad=3)
-    for axis in axes.flat[len(basins) :]:
-        axis.axis("off")
-    for column, axis in enumerate(axes[-1]):
-        lowest = axis if axis.axison else axes[-2, column]
-        lowest.tick_params(labelbottom=True)
+    for place, axis in enumerate(axes.flat):
+        axis.tick_params(labelbottom=place + columns >= len(basins))  # nothing below it
+        axis.set_visible(place < len(basins))
     figure.supxlabel("θ1 (rad)", fontsize=9)
     figure.supylabel("θ2 (rad)", fontsize=9)
     handles = [

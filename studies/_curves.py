@@ -18,7 +18,7 @@ Curve = Mapping[float, Rate]
 Falls = tuple[Crossing, Crossing]
 """The levels at which success falls to a half and to nine tenths."""
 
-BEST: Style = ("#666666", "_", "-")
+BEST: Style = ("#666666", "|", "-")
 """What any controller can do at best, as far as is known."""
 
 
@@ -56,7 +56,7 @@ def plot_falls(axis: Axes, falls: Mapping[str, Falls], looks: Mapping[str, Style
     for place, (name, found) in enumerate(falls.items()):
         colour, marker, _ = looks.get(name, BEST)
         for each, face, size in zip(found, (colour, "white"), (5.0, 4.5), strict=True):
-            low, level, high = np.clip(each, left, right)
+            level, low, high = np.clip(each, left, right)
             axis.plot([low, high], [place, place], color=colour, lw=1.4, solid_capstyle="butt")
             shown = ">" if each.level > levels[-1] else "<" if each.level < levels[0] else marker
             axis.plot(level, place, shown, color=colour, mfc=face, ms=size, mew=1.0, clip_on=False)

@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
-from rich.box import SIMPLE
+from rich.box import SIMPLE, SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.table import Table
 
@@ -307,14 +307,15 @@ def _converged(rows: list[Row], controller: str) -> str:
     return f"{sum(outcome == 'converged' for outcome in outcomes.values())} of {len(outcomes)}"
 
 
-def _label(rows: list[Row], controller: str) -> str:
+def _marked(rows: list[Row], controller: str) -> str:
     """Name a controller; a dagger marks a policy as it is shipped, one training."""
-    outcomes = [row.outcome for row in _of(rows, controller)]
-    if outcomes[0] == SHIPPED:
-        return f"{controller} †"
-    if _trained(rows, controller) and set(outcomes) != {"converged"}:
-        return f"{controller} ({_converged(rows, controller)} converged)"
-    return controller
+    return f"{controller} †" if _of(rows, controller)[0].outcome == SHIPPED else controller
+
+
+def _label(rows: list[Row], controller: str) -> str:
+    """Name a controller, and say how many of its trainings converged if not all did."""
+    all_did = not _trained(rows, controller) or {row.outcome for row in _of(rows, controller)} == {"converged"}
+    return _marked(rows, controller) if all_did else f"{controller} ({_converged(rows, controller)} converged)"
 
 
 # -------------------------------------------------------------------------------------------------- figures and summary
@@ -386,14 +387,15 @@ def summary(rows: list[Row], traces: Traces) -> RenderableType:
     names = list(styles((row.controller for row in rows), KNOWN))
     lams = sorted({row.lam for row in rows})
     known, known_falls = best(lams)
-    success = Table(title="Starts saved, %, by λ, with 95 % interval; † as shipped, one training", box=SIMPLE)
+    title = "Starts saved, %, by λ, with 95 % interval; † as shipped, one training"
+    success = Table(title=title, box=SIMPLE_HEAD, padding=0, show_edge=False)  # nine columns within eighty letters
     success.add_column("")
     for lam in lams:
         success.add_column(f"{lam:g}", justify="right")
     if known:
         success.add_row(BEST, *(percent(known[lam]) if lam in known else "" for lam in lams))
     for name in names:
-        success.add_row(_label(rows, name), *(percent(rate(rows, name, lam)) for lam in lams))
+        success.add_row(_marked(rows, name), *(percent(rate(rows, name, lam)) for lam in lams))
     success.add_row("the report's Table 2", *(f"{100 * TABLE2[lam]:.0f}" if lam in TABLE2 else "" for lam in lams))
 
     falls = Table(title="Where success falls to a half and to nine tenths, rad, with 95 % interval", box=SIMPLE)

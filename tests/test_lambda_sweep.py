@@ -2,16 +2,18 @@
 
 import io
 import math
+import re
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from rich.console import Console
 
 import dpend
 from controllers import LQR
 from rl import LinearQLearning
 from studies import _basins, _study, lambda_sweep, recoverable
-from studies._curves import percent, spread
+from studies._curves import percent, plot_falls, spread
 from studies._entrants import RIG
 from studies._intervals import Crossing, Rate, crossing, wilson
 
@@ -92,6 +94,8 @@ def test_a_controller_of_ones_own_stands_in_the_table_with_its_force_and_its_bas
     assert [set(kept) for kept in traces.values()] == 2 * [{"saved", "force", "basin"}]
     assert traces["ByHand-0"]["saved"].sum(axis=0).tolist() == [row.successes for row in rows[2:]]
     assert "ByHand" in said(rows, traces)
+    figures = lambda_sweep.plot(rows, traces)
+    assert [axis.get_title().partition(":")[0] for axis in figures["_basins"].axes] == ["LQR", "ByHand", "", ""]
 
 
 # ---------------------------------------------------------------------------------------------- what the table comes to
@@ -140,12 +144,24 @@ def test_the_best_known_is_the_share_of_the_shipped_table_within_the_spreads():
 def test_the_summary_counts_the_converged_and_marks_what_is_shipped():
     rows = [row(), row(training=1, outcome="diverged"), row(controller="PPO balance", outcome="shipped")]
     text = said(rows, {"PPO_balance-0": {"saved": np.ones((100, 1))}})
-    assert "Q tuned (1 of 2 converged)" in text
+    assert re.search("Q tuned +1 of 2", text)
     assert "PPO balance †" in text
 
 
 def test_the_reports_table_is_what_the_report_says():
     assert lambda_sweep.TABLE2 == {0.1: 0.94, 0.2: 0.92, 0.3: 0.78, 0.4: 0.49}
+
+
+def test_where_a_curve_falls_is_drawn_there_with_its_interval_and_an_arrow_beyond():
+    axis = Figure().subplots()
+    beyond = Crossing(math.inf, math.inf, math.inf)
+    falls = {"LQR": (Crossing(0.48, 0.46, 0.51), Crossing(0.3, -math.inf, 0.4)), "best": (beyond, beyond)}
+    plot_falls(axis, falls, {"LQR": ("k", "o", "-")}, [0.1, 0.6])
+    drawn = [(line.get_marker(), np.ravel(line.get_xdata()).tolist()) for line in axis.lines]
+    edges = list(axis.get_xlim())
+    assert drawn[:4] == [("None", [0.46, 0.51]), ("o", [0.48]), ("None", [edges[0], 0.4]), ("o", [0.3])]
+    assert drawn[5] == (">", [edges[1]])
+    assert [label.get_text() for label in axis.get_yticklabels()] == ["LQR", "best"]
 
 
 def test_rates_and_spreads_are_said_with_their_intervals():
