@@ -3,6 +3,7 @@
 import io
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -171,6 +172,17 @@ def test_rates_and_spreads_are_said_with_their_intervals():
     assert spread(Crossing(0.25, 0.2, 0.3), levels) == "0.250\n0.200–0.300"
     assert spread(Crossing(0.25, -math.inf, math.inf), levels) == "0.250\n<0.05–>0.6"
     assert spread(Crossing(math.inf, math.inf, math.inf), levels) == ">0.6"
+
+
+def test_the_finding_is_what_the_kept_table_says():
+    kept = Path(__file__).parent.parent / "docs" / "results" / "lambda_sweep_100" / "rows.csv"
+    rows = _study.read_rows(kept, lambda_sweep.Row)
+    finding = " ".join((lambda_sweep.__doc__ or "").partition("Finding: ")[2].split())
+    for name, words in (("LQR", "LQR saves"), ("Q tuned", "Q-learning tuned")):
+        shares = [f"{100 * lambda_sweep.rate(rows, name, lam).share:.1f}" for lam in lambda_sweep.TABLE2]
+        assert f"{words} {'/'.join(share.removesuffix('.0') for share in shares)} %" in finding
+    for name in ("Q tuned", "Q published"):
+        assert lambda_sweep._converged(rows, name) in finding
 
 
 # --------------------------------------------------------------------------------------------------------------- basins

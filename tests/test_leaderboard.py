@@ -259,9 +259,7 @@ def study(out, *arguments):
 @pytest.mark.slow
 def test_killed_in_the_middle_and_started_again_it_ends_with_the_same_table_and_your_own_controller_in_it(tmp_path):
     (tmp_path / "mine.py").write_text(
-        "class ByHand:\n"
-        "    def start(self, n, rng):\n"
-        "        return lambda t, y: y @ [-1, 150, -165, -2.5, 7, -29]\n"
+        "class ByHand:\n    def start(self, n, rng):\n        return lambda t, y: y @ [-1, 150, -165, -2.5, 7, -29]\n"
     )
     own = ("--controller", str(tmp_path / "mine.py") + ":ByHand")
     whole, broken = tmp_path / "whole", tmp_path / "broken"
