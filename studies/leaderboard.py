@@ -91,11 +91,17 @@ class Options(_entrants.Options):
         """The spreads; two where it must be quick."""
         return (0.1, 0.4) if self.quick else LAMS
 
-    def task(self, task: Task, start: str = "hanging") -> Balance | SwingUp:
-        """Give a task; one second of it where it must be quick."""
-        if task == "balance":
-            return Balance(lam=0.1, steps=50 if self.quick else 300)
+    def balance(self, lam: float = 0.1) -> Balance:
+        """Give the task of balancing; one second of it where it must be quick."""
+        return Balance(lam=lam, steps=50 if self.quick else 300)
+
+    def swing_up(self, start: str = "hanging") -> SwingUp:
+        """Give the task of swinging up; one second of it where it must be quick."""
         return SwingUp(start=start, spread=0.0 if start == "anywhere" else 0.1, steps=50 if self.quick else 500)
+
+    def task(self, task: Task) -> Balance | SwingUp:
+        """Give a task from where its force is measured."""
+        return self.balance() if task == "balance" else self.swing_up()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,20 +184,18 @@ def run(job: Job, options: Options) -> Result:
     """Do one piece of work."""
     kind, name = job.setting.split(" + ", 1)
     entrant = options.entrant(name)
-    what, _, task = kind.partition(" ")
-    if what == "balance":
-        return Result(_balance(entrant, job.repetition, options))
-    if what == "swing-up":
-        return Result(_swing_up(entrant, job.repetition, options))
-    if what == "robustness":
-        return Result(_robustness(entrant, task, options))
-    if what == "steps":
-        return Result(_steps(entrant, task, options))
-    if what == "ready":
-        return Result(_ready(entrant, options))
-    if what == "training":
-        return Result(_training(entrant, job.repetition, options))
-    return Result(_deep(entrant))
+    what, _, of = kind.partition(" ")
+    task: Task = "balance" if of == "balance" else "swing-up"
+    work = {
+        "balance": lambda: _balance(entrant, job.repetition, options),
+        "swing-up": lambda: _swing_up(entrant, job.repetition, options),
+        "robustness": lambda: _robustness(entrant, task, options),
+        "steps": lambda: _steps(entrant, task, options),
+        "ready": lambda: _ready(entrant, options),
+        "training": lambda: _training(entrant, job.repetition, options),
+        "deep": lambda: _deep(entrant),
+    }
+    return Result(work[what]())
 
 
 def _starts(task: Balance | SwingUp, n: int, options: Options) -> Array:
@@ -202,13 +206,13 @@ def _balance(entrant: Entrant, chunk: int, options: Options) -> list[Row]:
     first, n = options.part(entrant, chunk)
     rows = []
     for lam in options.lams:
-        task = Balance(lam=lam, steps=options.task("balance").steps or 0)
+        task = options.balance(lam)
         x0 = _starts(task, first + n, options)[first:]
         runs = dpend.simulate_many(RIG, entrant.make(RIG, task), x0, task=task, seed=options.seed, first_row=first)
         rows.append(_row(entrant, f"saved, λ = {lam:g}", first, runs.success))
     m = min(n, _NOISY - first)
     if m > 0:
-        task, noisy = options.task("balance"), RIG.replace(sensor_noise=_NOISE)
+        task, noisy = options.balance(), RIG.replace(sensor_noise=_NOISE)
         x0 = _starts(task, first + m, options)[first:]
         runs = dpend.simulate_many(noisy, entrant.make(RIG, task), x0, task=task, seed=options.seed, first_row=first)
         rows += _forces(entrant, "balancing", first, runs)
@@ -219,7 +223,7 @@ def _swing_up(entrant: Entrant, chunk: int, options: Options) -> list[Row]:
     first, n = options.part(entrant, chunk)
     rows = []
     for start in STARTS:
-        task = options.task("swing-up", start)
+        task = options.swing_up(start)
         x0 = _starts(task, first + n, options)[first:]
         runs = dpend.simulate_many(RIG, entrant.make(RIG, task), x0, task=task, seed=options.seed, first_row=first)
         rows.append(_row(entrant, f"up from {start}, s", first, runs.time_up))
@@ -236,17 +240,16 @@ def _forces(entrant: Entrant, what: str, first: int, runs: dpend.Runs) -> list[R
     ]
 
 
-def _robustness(entrant: Entrant, task: str, options: Options) -> list[Row]:
-    the_task: Task = "balance" if task == "balance" else "swing-up"
-    controller = entrant.make(RIG, options.task(the_task))
-    outcomes = measure(controller, the_task, _robustness_starts(entrant, options), seed=options.seed)
+def _robustness(entrant: Entrant, task: Task, options: Options) -> list[Row]:
+    controller = entrant.make(RIG, options.task(task))
+    outcomes = measure(controller, task, _robustness_starts(entrant, options), seed=options.seed)
     return [_row(entrant, f"robustness {task}", 0, score(outcomes))]
 
 
-def _steps(entrant: Entrant, task: str, options: Options) -> list[Row]:
+def _steps(entrant: Entrant, task: Task, options: Options) -> list[Row]:
     """Time the steps of single runs, in turn with LQR's so that both meet the same load, and of 1000 side by side."""
-    the_task = options.task("balance" if task == "balance" else "swing-up")
-    yardstick = options.task("balance")
+    the_task = options.task(task)
+    yardstick = options.balance()
     lqr, controller = options.entrant("LQR").make(RIG, yardstick), entrant.make(RIG, the_task)
     own, its = [], []
     with undisturbed():
@@ -296,7 +299,7 @@ def _training(entrant: Entrant, k: int, options: Options) -> list[Row]:
     seconds = time.process_time() - began
     saved = {}
     for lam in options.lams:
-        task = Balance(lam=lam)
+        task = options.balance(lam)
         x0 = _starts(task, min(options.starts, 20 if options.quick else 1000), options)
         saved[lam] = float(dpend.simulate_many(RIG, training.policy, x0, task=task).success.mean())
     found = {

@@ -243,7 +243,7 @@ def test_all_meet_the_same_starts_and_the_slow_the_first_of_them():
     assert met == [(0, 25), (25, 15)]
     assert options.part(lqr, 0) == (0, 200)
     assert len([job for job in leaderboard.jobs(options) if job.setting == "balance + iLQR MPC"]) == 2
-    task = options.task("balance")
+    task = options.balance()
     assert (leaderboard._starts(task, 40, options) == leaderboard._starts(task, 200, options)[:40]).all()
 
 
