@@ -216,8 +216,9 @@ ENTRANTS: tuple[Entrant, ...] = (
         style=("#CC79A7", "o", "-"), policy="ppo-swing-up", trainings="ppo-swing-up",
     ),
     Entrant(
-        name="PPO swing-up, smooth", make=_learned("ppo-swing-up-smooth"), tasks=BOTH, told=_SHAPED,
-        style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth", trainings="ppo-swing-up-caps",
+        name="PPO swing-up, smooth", make=_learned("ppo-swing-up-smooth"), tasks=BOTH,
+        told=Told("none", "shaped, and changes of force", "hanging or level to the side"),
+        style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth", trainings="ppo-swing-up-smooth",
     ),
     Entrant(
         name="DDPG swing-up", make=_learned("ddpg-swing-up"), tasks=BOTH, told=_SHAPED,
