@@ -44,7 +44,7 @@ class Cell:
     under : str
         What stands smaller beside it, such as an interval.
     key : float, optional
-        What it is sorted by; left out, its words.
+        What it is sorted by, infinite where it lies beyond all; left out, its words.
     share : float, optional
         What a bar in it shows, 0 to 1.
     """
@@ -200,7 +200,7 @@ def _kind(column: Column, edge: bool) -> str:
 
 def _cell(cell: Cell, column: Column, place: int, edge: bool) -> str:
     tag, scope = ("th", ' scope="row"') if place == 0 else ("td", "")
-    key = cell.text if cell.key is None else "" if math.isnan(cell.key) else repr(float(cell.key))
+    key = cell.text if cell.key is None else "" if math.isnan(cell.key) else repr(max(-1e308, min(cell.key, 1e308)))
     bar = "" if not cell.share else f' style="--share:{100 * cell.share:.1f}%"'
     under = f"<small>{html.escape(cell.under)}</small>" if cell.under else ""
     kind = _kind(column, edge) + (" bar" if bar else "")
