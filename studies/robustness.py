@@ -23,13 +23,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 from rich.console import Group, RenderableType
-from rich.table import Table
 
 from dpend.params import Array
 
 from . import _entrants, _study
 from ._entrants import ENTRANTS, RIG, Entrant, Style, Task, styles
 from ._intervals import Crossing, Rate, Tail, crossing, wilson, worst_cases
+from ._page import Cell, Column, markdown, terminal
 from ._perturbations import (
     AXES,
     GROUPS,
@@ -68,9 +68,7 @@ class Options(_entrants.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("starts", "slow_starts"):
-            if getattr(self, name) < 2:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least 2; got {getattr(self, name)}.")
+        self.check_least(2, "starts", "slow_starts")
         if self.plants < 16 or self.plants & (self.plants - 1):
             raise ValueError(f"--plants must be a power of two, at least 16; got {self.plants}.")
 
@@ -511,99 +509,118 @@ def _plot_sensors(rows: list[Row]) -> Figure:
     return figure
 
 
-# ------------------------------------------------------------------------------------------------------------- summary
+# -------------------------------------------------------------------------------------------------------------- tables
+
+
+class Sheet(NamedTuple):
+    """One table."""
+
+    title: str
+    columns: list[Column]
+    lines: list[list[Cell]]
 
 
 def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table: scores, break points, plants, sensors."""
-    return Group(*(table for table in (_scores(rows), _breaks(rows), _plants(rows), _sensors(rows)) if table.row_count))
+    return Group(*(terminal(*sheet) for sheet in sheets(rows)))
 
 
-def _percent(of: Rate | Tail) -> str:
+def pages(rows: list[Row], traces: Traces) -> dict[str, str]:
+    """Write the tables as Markdown."""
+    tables = [f"## {title}\n\n{markdown(columns, lines)}\n" for title, columns, lines in sheets(rows)]
+    return {"tables.md": "\n".join(["# Robustness: all tables\n", *tables])}
+
+
+def sheets(rows: list[Row]) -> list[Sheet]:
+    """Give the tables that have something in them."""
+    return [sheet for sheet in (_scores(rows), _breaks(rows), _plants(rows), _sensors(rows)) if sheet.lines]
+
+
+def _columns(words: Sequence[str], numbers: Sequence[str]) -> list[Column]:
+    return [Column("", heading, "", words=True) for heading in words] + [Column("", heading, "") for heading in numbers]
+
+
+def _percent(of: Rate | Tail) -> Cell:
     share, low, high = (100 * value for value in of[:3])
-    return f"{share:.1f} \\[{low:.1f}, {high:.1f}]"
+    return Cell(f"{share:.1f}", f"[{low:.1f}, {high:.1f}]")
 
 
-def _table(title: str, *headings: str) -> Table:
-    table = Table(title=title)
-    for heading in headings:
-        table.add_column(heading, justify="left" if heading in ("controller", "task", "axis") else "right")
-    return table
-
-
-def _scores(rows: list[Row]) -> Table:
-    table = _table(
-        "(a) Success, %, on each of the six axes, nominal left out; score: their mean",
-        "controller", "task", "runs", "nominal", *GROUPS, "score", "RealAIGym's way",
-    )  # fmt: skip
+def _scores(rows: list[Row]) -> Sheet:
+    lines = []
     for task in TASKS:
         for name in _present(rows, task):
             outcomes = outcomes_of(rows, name, task)
-            shares = [f"{100 * of.mean():.1f}" for of in of_groups(outcomes).values()]
             runs = sum(of.size for of in outcomes.values())
-            nominal = f"{100 * outcomes[NOMINAL.name].mean():.0f}"
-            said = (_percent(score_of(outcomes)), f"{realaigym(outcomes):.3f}")
-            table.add_row(name, task, str(runs), nominal, *shares, *said)
-    return table
+            shares = [outcomes[NOMINAL.name], *of_groups(outcomes).values()]
+            cells = [Cell(name), Cell(task), Cell(str(runs)), *(Cell(f"{100 * of.mean():.1f}") for of in shares)]
+            lines.append([*cells, _percent(score_of(outcomes)), Cell(f"{realaigym(outcomes):.3f}")])
+    return Sheet(
+        "(a) Success, %, on each of the six axes, nominal left out; score: their mean",
+        _columns(("controller", "task"), ("runs", "nominal", *GROUPS, "score", "RealAIGym's way")),
+        lines,
+    )
 
 
-def _said(level: Crossing, most: float, form: str) -> str:
+def _level(found: Crossing, most: float, form: str, before: str = "") -> Cell:
     """Say where success halves: beyond the greatest level where it never does."""
 
     def bound(value: float) -> str:
-        return f"> {most:{form}}" if value == np.inf else "0" if value == -np.inf else f"{value:{form}}"
+        return f"above {most:{form}}" if value == np.inf else "0" if value == -np.inf else f"{value:{form}}"
 
-    if not np.isfinite(level.level):
-        return bound(level.level) if level.level > 0 else "-"
-    return f"{bound(level.level)} \\[{bound(level.low)}, {bound(level.high)}]"
+    if not np.isfinite(found.level):
+        return Cell(bound(found.level)) if found.level > 0 else Cell()
+    return Cell(f"{before}{bound(found.level)}", f"[{bound(found.low)}, {bound(found.high)}]")
 
 
-def _breaks(rows: list[Row]) -> Table:
+def _breaks(rows: list[Row]) -> Sheet:
     single = [axis for axis in AXES if axis.group != "model"]
-    table = _table(
-        "(a) Level at which success falls to 50 %; - where it is below that already, > where it never falls so far",
-        "controller", "task", "one parameter, % wrong", *(axis.name for axis in single),
-    )  # fmt: skip
+    lines = []
     for task in TASKS:
         for name in _present(rows, task):
             outcomes = outcomes_of(rows, name, task)
             parameter, sign, least = weakest(outcomes)
-            percent = _said(Crossing(*(100 * value for value in least)), 25, ".0f")
-            if np.isfinite(least.level):
-                percent = f"{parameter} {'-' if sign < 0 else '+'} {percent}"
-            others = (_said(breaking(outcomes, axis), axis.levels[-1], ".2g") for axis in single)
-            table.add_row(name, task, percent, *others)
-    return table
+            before = f"{parameter.replace('_', ' ')} {'−' if sign < 0 else '+'}"
+            percent = _level(Crossing(*(100 * value for value in least)), 25, ".0f", before)
+            others = [_level(breaking(outcomes, axis), axis.levels[-1], ".2g") for axis in single]
+            lines.append([Cell(name), Cell(task), percent, *others])
+    return Sheet(
+        "(a) Level at which success falls to 50 %; a dash where it is below that already",
+        _columns(("controller", "task"), ("one parameter, % wrong", *(axis.name for axis in single))),
+        lines,
+    )
 
 
-def _plants(rows: list[Row]) -> Table:
-    table = _table(
-        "(b) Success, %, on plants wrong in everything at once",
-        "controller", "task", "plants", "mean", "worst tenth (CVaR)", "worst plant",
-    )  # fmt: skip
+def _plants(rows: list[Row]) -> Sheet:
+    lines = []
     for task in TASKS:
         for name in _present(rows, task, "plants"):
             mean, tail = on_plants(rows, name, task)
             count = len(_chosen(rows, controller=name, task=task, part="plants"))
-            table.add_row(name, task, str(count), _percent(mean), _percent(tail), f"{100 * tail.worst:.0f}")
-    return table
+            cells = [Cell(name), Cell(task), Cell(str(count)), _percent(mean), _percent(tail)]
+            lines.append([*cells, Cell(f"{100 * tail.worst:.0f}")])
+    return Sheet(
+        "(b) Success, %, on plants wrong in everything at once",
+        _columns(("controller", "task"), ("plants", "mean", "worst tenth (CVaR)", "worst plant")),
+        lines,
+    )
 
 
-def _sensors(rows: list[Row]) -> Table:
-    table = _table(
-        "(c) Success, %, the mean over the levels of an axis, through each view",
-        "controller", "task", "axis", *VIEWS,
-    )  # fmt: skip
+def _sensors(rows: list[Row]) -> Sheet:
+    lines = []
     for task in TASKS:
         for name in _present(rows, task, "sensors"):
             for of in SENSORS:
-                cells = []
+                cells = [Cell(name), Cell(task), Cell(of.name)]
                 for view in VIEWS:
                     own = _chosen(rows, controller=name, task=task, part="sensors", axis=of.name, view=view)
                     met = np.stack([_unpacked(row) for row in own], axis=1) if own else None
-                    cells.append("" if met is None else _percent(mean_share(met.mean(axis=1), met.size)))
-                table.add_row(name, task, of.name, *cells)
-    return table
+                    cells.append(Cell() if met is None else _percent(mean_share(met.mean(axis=1), met.size)))
+                lines.append(cells)
+    return Sheet(
+        "(c) Success, %, the mean over the levels of an axis, by what stands between sensors and controller",
+        _columns(("controller", "task", "axis"), tuple(VIEWS)),
+        lines,
+    )
 
 
 if __name__ == "__main__":

@@ -213,6 +213,13 @@ def test_the_table_keeps_every_start() -> None:
         robustness.score(table(met), "SDRE", "balance")
 
 
+def test_the_pages_tell_of_success_and_of_where_it_breaks() -> None:
+    met = outcomes(1.0) | {"delay": np.repeat([[1.0, 0.0]], 20, axis=0)}
+    (text,) = robustness.pages(table(met), {}).values()
+    assert "| LQR | balance | 2000 | 100.0 | 100.0 | 100.0 | 100.0 | 100.0 | 50.0 | 100.0 | 91.7 [" in text
+    assert "| LQR | balance | above 25 | above 0.5 | above 7.3 | above 0.9 | 1.5 [1.5, 1.5] | above 1 |" in text
+
+
 def test_success_breaks_where_half_of_the_starts_fail_on_either_side() -> None:
     met = outcomes(1.0) | {"com1": np.repeat([[0.0, 0, 0, 1, 1, 1]], 20, axis=0)}
     axis = BY_NAME["com1"]
