@@ -9,7 +9,12 @@ estimator.  Everyone meets the same starts, noise, pushes and plants; those that
 none unless asked for.  The robustness score is the success in the settings of (a), the nominal one left out, the mean
 over its six axes.
 
-Finding: to be measured.
+Finding: one wrong parameter and noise of the force hurt hardly anyone who balances.  Two samples of delay fell nearly
+all but the linear laws and SDRE; pushes of a fifth of RealAIGym's largest fell nearly everyone.
+Scores at balancing: LSPI 86.7, LQR 84.8, iLQR MPC 76 [72, 80], Q-learning tuned 72.9, PPO and DDPG trained to swing up
+66.2 and 58.6 %.  At swinging up: iLQR MPC 83 [71, 96], TVLQR 65.1 %; wrong by 20 % in everything 56 [39, 72] and
+10 [7, 14] %.  Behind EKF or UKF, LQR and TVLQR bear three samples of delay always; through differences LQR bears one,
+TVLQR none.  From the default options, kept in docs/results/robustness.
 """
 
 from __future__ import annotations
@@ -481,8 +486,12 @@ def _plot_plants(rows: list[Row], tasks: list[Task]) -> Figure:
 
 
 def _plot_sensors(rows: list[Row]) -> Figure:
-    """Draw success against what is wrong with the sensors, for two controllers a task: a column an axis."""
-    shown = [(name, task) for task in TASKS for name in list(_present(rows, task, "sensors"))[:2]]
+    """Draw success against what is wrong with the sensors, for the first controllers of each kind: a column an axis."""
+    shown = []
+    for task in TASKS:
+        names = list(_present(rows, task, "sensors"))
+        kinds = [[name for name in names if (name in _LEARNED) == learned] for learned in (False, True)]
+        shown += [(kind[0], task) for kind in kinds if kind]
     figure = Figure(figsize=(7.0, 0.9 + 1.45 * len(shown)), layout="constrained")
     axes = figure.subplots(len(shown), len(SENSORS), sharey=True, sharex="col", squeeze=False)
     for (name, task), row_of_axes in zip(shown, axes, strict=True):
