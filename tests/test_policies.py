@@ -196,7 +196,9 @@ def test_pickled_objects_in_a_file_are_refused_and_never_run(tmp_path):
     assert not made.exists()
 
 
-@pytest.mark.parametrize("name", ["ppo-swing-up", "ppo-swing-up-smooth", "ddpg-swing-up", "ppo-balance"])
+@pytest.mark.parametrize(
+    "name", ["ppo-swing-up", "ppo-swing-up-smooth", "ddpg-swing-up", "ppo-balance", "ddpg-balance"]
+)
 def test_a_shipped_policy_says_where_it_comes_from_and_does_what_it_is_for(name):
     law = load_policy(name)
     assert isinstance(law, MLPPolicy)
