@@ -13,7 +13,11 @@ cost on the change of force in NMPC; a² among Q-learning's features; and of the
 the action's rate and with CAPS (``--runs``).  A controller of yours takes part, and wears both devices:
 ``--controller path.py:factory``.
 
-Finding: TODO
+Finding: bang-bang is no need of the task.  At λ = 0.3 the sign of a stiff LQR saves 88.8 % of 400 starts and LQR
+86.2 %, Q-learning tuned 84.8 % without and LSPI 85.0 % with a².  The two of ±40 N have 403 [361, 453] and 419 [376,
+459] times LQR's variation on the starts that both save (84 and 85 times with sensor noise), change sign 39 times a
+second (LQR 0.5), spend 9600 N² s (LQR 56), and are saturated all the time.  No device mends them: a low-pass at 8 Hz
+leaves half of the variation and saves 81.2 %, a rate limit of 800 N/s saves none.
 """
 
 from __future__ import annotations
@@ -556,7 +560,7 @@ def _plot_learned(saved: Axes, varied: Axes, groups: list[tuple[str, list[Row]]]
     for place, (_, own) in enumerate(groups):
         for order, condition in enumerate(CONDITIONS):
             chosen = sorted((row for row in own if row.condition == condition), key=lambda row: row.training)
-            x = place + 0.2 * (order - 0.5) + 0.05 * (np.arange(len(chosen)) - (len(chosen) - 1) / 2)
+            x = place + 0.4 * (order - 0.5) + 0.05 * (np.arange(len(chosen)) - (len(chosen) - 1) / 2)
             shares = [success(row) for row in chosen]
             for axis, values in (
                 (saved, [(rate.share, rate.low, rate.high) for rate in shares]),
