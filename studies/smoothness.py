@@ -206,12 +206,12 @@ def trainings(runs: Path) -> list[Training]:
         means = {"CAPS": recipe["caps"][0], "action rate": recipe["action_rate"]}
         means["noise"] = recipe.get("sensor_noise", 0.0)
         used = {name: weight for name, weight in means.items() if weight}
-        device, strength = ", ".join(used) or "plain training", next(iter(used.values()), 0.0)
+        device, strength = ", ".join(used) or "plain", next(iter(used.values()), 0.0)
         aside = ("caps", "action_rate", "sensor_noise", "steps", "enough", "evaluate_every")
         recipe = {name: value for name, value in recipe.items() if name not in aside and value}
         alike.setdefault(json.dumps(recipe, sort_keys=True), []).append(Training(policy.parent, device, strength))
     pairs = [group for group in alike.values() if len({found.device for found in group}) > 1]
-    return [found for group in pairs for found in group if any(other.device == "plain training" for other in group)]
+    return [found for group in pairs for found in group if any(other.device == "plain" for other in group)]
 
 
 def _seed(folder: Path) -> int:
@@ -484,12 +484,14 @@ def _plot_devices(rows: list[Row]) -> Figure:
     """Draw success and variation against each device's parameter, and those of learners with and without theirs."""
     worn = [name for name in DEVICES if found(rows, "variation", device=name)]
     groups = _learned(rows)
-    figure = Figure(figsize=(6.8, 2.2 * len(worn) + 2.8), layout="constrained")
-    axes = figure.subplots(max(len(worn) + bool(groups), 1), 2, squeeze=False)
-    for (saved, varied), name in zip(axes, worn, strict=False):
+    figure = Figure(figsize=(6.8, 2.1 * (len(worn) + 2 * bool(groups)) + 0.8), layout="constrained")
+    grid = figure.add_gridspec(max(len(worn) + 2 * bool(groups), 1), 2)
+    axes = [(figure.add_subplot(grid[place, 0]), figure.add_subplot(grid[place, 1])) for place in range(len(worn))]
+    for (saved, varied), name in zip(axes, worn, strict=True):
         _plot_device(saved, varied, rows, name)
     if groups:
-        _plot_learned(axes[-1, 0], axes[-1, 1], groups)
+        axes.append((figure.add_subplot(grid[-2, :]), figure.add_subplot(grid[-1, :])))
+        _plot_learned(*axes[-1], groups)
     for saved, varied in axes:
         saved.set(ylim=(-0.05, 1.05), ylabel="starts that succeed")
         saved.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -501,7 +503,7 @@ def _plot_devices(rows: list[Row]) -> Figure:
             axis.xaxis.label.set_fontsize(8)
             axis.yaxis.label.set_fontsize(8)
     handles: dict[str, Any] = {}
-    for axis in axes[:, 0]:
+    for axis, _ in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
     words = "filled: perfect sensors, hollow: sensor noise 0.002; balancing, λ = 0.3, where nothing else is said"
@@ -549,7 +551,7 @@ def _learned(rows: list[Row]) -> list[tuple[str, list[Row]]]:
     trained = [row for row in found(rows, "variation", task="swing-up") if row.device not in ("none", *DEVICES)]
     for name in dict.fromkeys(row.controller for row in trained):
         own = [row for row in trained if row.controller == name]
-        groups.append((f"{name.split('-')[0].upper()}\n{own[0].device}\nswing-up", own))
+        groups.append((f"{name.replace('-swing-up', '')}\n{own[0].device}\nswing-up", own))
     for name in () if trained else ("PPO swing-up", "PPO swing-up, smooth"):
         groups.append((name.replace(" ", "\n"), found(rows, "variation", controller=name, task="swing-up")))
     return [(words, own) for words, own in groups if own]
@@ -572,7 +574,7 @@ def _plot_learned(saved: Axes, varied: Axes, groups: list[tuple[str, list[Row]]]
                     mfc="#333333" if condition == "perfect" else "white",
                 )  # fmt: skip
     for axis in (saved, varied):
-        axis.set_xticks(range(len(groups)), [words for words, _ in groups], fontsize=6)
+        axis.set_xticks(range(len(groups)), [words for words, _ in groups], fontsize=7)
         axis.set_xlim(-0.5, len(groups) - 0.5)
 
 

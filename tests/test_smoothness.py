@@ -157,7 +157,7 @@ def test_trainings_that_differ_in_smoothing_alone_are_found_and_no_others(tmp_pa
         (folder / "recipe.json").write_text(json.dumps({"recipe": recipe}))
     found = {training.folder.parts[-2]: training[1:] for training in smoothness.trainings(tmp_path)}
     assert found == {
-        "ppo": ("plain training", 0.0),
+        "ppo": ("plain", 0.0),
         "ppo-caps": ("CAPS", 0.3),
         "ppo-both": ("action rate, noise", 0.1),
     }
