@@ -212,6 +212,13 @@ ENTRANTS: tuple[Entrant, ...] = (
         policy="ppo-balance", trainings="ppo-balance",
     ),
     Entrant(
+        name="DDPG balance",
+        make=_learned("ddpg-balance"),
+        told=Told("none", "shaped: height, calm, upright", "λ = .4 about upright"),
+        style=("#E69F00", "d", ":"),
+        policy="ddpg-balance", trainings="ddpg-balance",
+    ),
+    Entrant(
         name="PPO swing-up", make=_learned("ppo-swing-up"), tasks=BOTH, told=_SHAPED,
         style=("#CC79A7", "o", "-"), policy="ppo-swing-up", trainings="ppo-swing-up",
     ),
