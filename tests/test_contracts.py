@@ -64,16 +64,33 @@ def built(name: str, preset: str) -> Any:
         return refusal
 
 
-@pytest.fixture(params=PRESETS)
-def preset(request: pytest.FixtureRequest) -> str:
+PAIRS = [
+    pytest.param(
+        (name, preset),
+        id=f"{name}-{preset}",
+        # Its solver takes a second for each plant; the fast tests try a strong actuator and a weak one.
+        marks=[pytest.mark.slow] if name == "NMPC" and preset not in ("gustafsson2016", "dompc_dip") else [],
+    )
+    for preset in PRESETS
+    for name in NAMES
+]
+
+
+@pytest.fixture(params=PAIRS)
+def pair(request: pytest.FixtureRequest) -> tuple[str, str]:
     return request.param
 
 
-@pytest.fixture(params=NAMES)
-def controller(request: pytest.FixtureRequest, preset: str) -> Controller:
-    made = built(request.param, preset)
+@pytest.fixture
+def preset(pair: tuple[str, str]) -> str:
+    return pair[1]
+
+
+@pytest.fixture
+def controller(pair: tuple[str, str]) -> Controller:
+    made = built(*pair)
     if isinstance(made, ValueError):
-        pytest.skip(f"{request.param} refuses {preset}: {made}")
+        pytest.skip(f"{pair[0]} refuses {pair[1]}: {made}")
     return made
 
 

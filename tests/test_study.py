@@ -53,7 +53,7 @@ def test_several_workers_give_the_same_table(tmp_path):
 def test_killed_in_the_middle_and_started_again_it_ends_with_the_same_table(tmp_path):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     options = ("--nap", "0.1")
-    subprocess.run(example(whole, *options), cwd=ROOT, check=True, capture_output=True)
+    _study.main("tests.study_example", ["--out", str(whole), "--workers", "1"])
     process = subprocess.Popen(
         example(broken, *options), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
@@ -71,7 +71,11 @@ def test_killed_in_the_middle_and_started_again_it_ends_with_the_same_table(tmp_
 
 def test_ctrl_c_keeps_what_is_done_and_says_so(tmp_path):
     process = subprocess.Popen(
-        [*example(tmp_path, "--nap", "0.1")], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*example(tmp_path, "--nap", "0.1", "--jobs", "200")],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     while len(list((tmp_path / "jobs").glob("*.json"))) < 2:
         time.sleep(0.02)
