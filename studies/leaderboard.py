@@ -9,7 +9,11 @@ that of the trainings in docs/results/deep.  Balancing is ranked by success, mea
 success, mean over the three starts, then by time up.  Of two, the starts that both met count; ranks are drawn anew
 2000 times.  Slow ones meet the first of the starts only.
 
-Finding: to be measured.
+Finding: of what balances, iLQR MPC saves most, 88.2 % [85.7, 90.8] in the mean over λ = .1 to .6 (200 starts), then PPO
+with 80.6 % [79.3, 81.9]; LQR has 72.5, LSPI 74.0 and tuned Q-learning 69.4 % of 1000.  NMPC and iLQR MPC swing up from
+every start (50 and 200 of each kind), DDPG from 100, 100 and 98.1 % (hanging, side, anywhere), PPO from 93.8, 100 and
+90.3 %.  LSPI learned in 0.04 s from two minutes of experience, and failed in 1 of 10 trainings; PPO's swing-up took two
+minutes and 89 hours.  From the default options, kept in docs/results/leaderboard.
 """
 
 from __future__ import annotations
@@ -468,8 +472,8 @@ COST = (
     Column("What it cost", "tests, s", "Experience of the tests by which a policy was chosen: median."),
     Column(
         "What it cost", "failed, %",
-        "Trainings that did not converge, or whose policy succeeds from less than 95 % of fresh starts (at λ = 0.1 for "
-        "what is trained here), and Wilson's 95 % interval.",
+        "Trainings that did not converge, or whose policy succeeds from less than 95 % of fresh starts, and Wilson's 95 "
+        "% interval; balancing at λ = 0.1, deep learners at λ = 0.3, which is harder.",
     ),
     Column(
         "What it cost", "they save, %",
