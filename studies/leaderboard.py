@@ -472,8 +472,8 @@ COST = (
     Column("What it cost", "tests, s", "Experience of the tests by which a policy was chosen: median."),
     Column(
         "What it cost", "failed, %",
-        "Trainings that did not converge, or whose policy succeeds from less than 95 % of fresh starts, and Wilson's 95 "
-        "% interval; balancing at λ = 0.1, deep learners at λ = 0.3, which is harder.",
+        "Trainings that did not converge, or whose policy succeeds from less than 95 % of fresh starts, and Wilson's "
+        "95 % interval; balancing at λ = 0.1, deep learners at λ = 0.3, which is harder.",
     ),
     Column(
         "What it cost", "they save, %",
