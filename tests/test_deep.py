@@ -370,6 +370,7 @@ def test_the_command_line_refuses_bad_settings_before_anything_runs(capsys):
         assert message in capsys.readouterr().err
 
 
+@needs_torch
 def test_the_command_line_states_a_recipe(monkeypatch):
     from rl import train
 
