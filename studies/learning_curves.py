@@ -552,7 +552,7 @@ def _deep(axis: Axes, rows: list[Row], traces: Traces, task: str, words: str) ->
     lacking = [_DEEP_STYLES[name.partition("-")[0]][0] for name in missing(rows) if name.endswith(task)]
     if lacking:
         _quote(axis, f"not there: trainings of {', '.join(lacking)}")
-    _finish(axis, f"Deep learners, {task}: evaluations while they train", 4)
+    _finish(axis, f"Deep learners, {task}: evaluations while they train", 2)
 
 
 def missing(rows: list[Row]) -> list[str]:
