@@ -36,11 +36,21 @@ from dpend.vector_env import CartDoublePendulumVectorEnv
 from .policies import MLPPolicy, Network
 from .shaping import Shaped, observation_scales
 
-INSTALL = "Deep learners need torch and Stable-Baselines3, the extra `deep`: pip install -e '.[deep]'"
-"""What to do where torch is missing."""
+NEEDED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"torch": ("torch", "stable_baselines3"), "jax": ("torch", "stable_baselines3", "jax", "sbx")}
+)
+"""What must be installed for a training, by ``DeepRecipe.library``."""
+
+INSTALL: Mapping[str, str] = MappingProxyType(
+    {
+        "torch": "Deep learners need torch and Stable-Baselines3, the extra `deep`: pip install -e '.[deep]'",
+        "jax": "Deep learners in JAX need SBX and Stable-Baselines3, the extra `jax`: pip install -e '.[jax]'",
+    }
+)
+"""What to do where something of it is missing."""
 
 EPISODE = 10.0
-"""Length of an episode of the swing-up, s."""
+"""Length of a swing-up that is evaluated, and of an episode where a recipe is told nothing, s."""
 
 _LONGEST_HOLD = 0.04  # s
 _EVALUATION_STREAM = 7159  # sets the starts of evaluation apart from others drawn with the same seed
@@ -114,6 +124,12 @@ class DeepRecipe:
     period : float
         How long a force is held, s; a whole number of samples.  At zero, the greatest up to 0.04 s for the swing-up and
         one sample for balancing.
+    episode : float
+        How long an episode lasts at most while learning, s; at zero, 10 s of the swing-up and the task's own of
+        balancing.  Evaluations last as long as ever.
+    first_actions : float
+        Factor on the last layer of the actor of DDPG, TD3 and SAC before anything is learned; a small one begins with
+        hardly any force, as the DDPG paper does.
     action_rate : float
         Weight w of the penalty w |a_t - a_{t-1}| near upright, which grows from nothing to this while it learns, at
         each evaluation; the last action is then observed.
@@ -123,6 +139,9 @@ class DeepRecipe:
     caps : (float, float, float)
         Conditioning for action policy smoothness (Mysore et al. 2021) in PPO's loss: weights of the temporal and of
         the spatial term, and the standard deviation of the spatial one.
+    library : {"torch", "jax"}
+        What DDPG, TD3 and SAC compute with: Stable-Baselines3 in torch, or its sibling SBX in JAX, the same algorithms
+        compiled.
     layer_norm : bool
         Whether the critics of DDPG, TD3 and SAC normalise their layers; PPO's never does.
     mirror : bool
@@ -155,9 +174,12 @@ class DeepRecipe:
     gamma: float = 0.99
     noise: float = 0.0
     period: float = 0.0
+    episode: float = 0.0
+    first_actions: float = 1.0
     action_rate: float = 0.0
     sensor_noise: float = 0.0
     caps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    library: Literal["torch", "jax"] = "torch"
     layer_norm: bool = True
     mirror: bool = False
     evaluate_every: int = 0
@@ -165,7 +187,12 @@ class DeepRecipe:
     enough: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, known in (("algo", DEFAULTS), ("task", ("swing-up", "balance")), ("starts", ("mixed", "rest"))):
+        for name, known in (
+            ("algo", DEFAULTS),
+            ("task", ("swing-up", "balance")),
+            ("starts", ("mixed", "rest")),
+            ("library", NEEDED),
+        ):
             value = getattr(self, name)
             if value not in known:
                 raise ValueError(f"There is no {name} {value!r}.{suggestion(str(value), known)}")
@@ -195,6 +222,9 @@ class DeepRecipe:
                     "Forces can be held for several samples on ideal rigs only; got one with lag, delay, noise or "
                     f"rounding: expected period = {rig.sample_time:g} s, the sample time."
                 )
+            if not self.episode:
+                seconds = EPISODE if self.task == "swing-up" else Balance().steps * rig.sample_time
+                object.__setattr__(self, "episode", seconds)
         for name in ("steps", "copies", "batch", "evaluate_every", "evaluation_starts"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 1:
@@ -204,6 +234,8 @@ class DeepRecipe:
             ("updates", 0 < self.updates < math.inf, "greater than 0"),
             ("gamma", 0 < self.gamma < 1, "between 0 and 1"),
             ("noise", 0 < self.noise < math.inf, "greater than 0"),
+            ("episode", 0 <= self.episode < math.inf, "at least 0"),
+            ("first_actions", 0 < self.first_actions <= 1, "above 0, at most 1"),
             ("action_rate", 0 <= self.action_rate < math.inf, "at least 0"),
             ("sensor_noise", 0 <= self.sensor_noise < math.inf, "at least 0"),
             ("enough", 0 <= self.enough <= 1, "within 0 and 1"),
@@ -214,9 +246,13 @@ class DeepRecipe:
                 raise ValueError(f"{name} must be {wanted}; got {getattr(self, name)!r}.")
         if any(self.caps) and self.algo != "ppo":
             raise ValueError(f"caps is for PPO; got algo {self.algo!r}. Use action_rate.")
+        if self.library == "jax" and self.algo == "ppo":
+            raise ValueError("library 'jax' is for DDPG, TD3 and SAC; got algo 'ppo'. Use library 'torch'.")
+        if self.first_actions != 1.0 and self.algo == "ppo":
+            raise ValueError("first_actions is for DDPG, TD3 and SAC; got algo 'ppo'. Use noise.")
         if self.mirror and self.algo == "ppo":
             raise ValueError("mirror is for DDPG, TD3 and SAC, which learn from what they keep; got algo 'ppo'.")
-        for name in ("action_rate", "sensor_noise", "mirror"):
+        for name in ("episode", "action_rate", "sensor_noise", "mirror"):
             if self.env and getattr(self, name):
                 raise ValueError(f"{name} is for our own plant; got env {self.env!r}.")
 
@@ -308,8 +344,7 @@ def training_envs(recipe: DeepRecipe) -> gym.vector.VectorEnv[Any, Any, Any]:
         mixture = [SwingUp(start=start, spread=0.1) for start in ("hanging", "side")]
         if recipe.starts == "mixed":
             mixture = [*mixture, Balance(lam=0.1), SwingUp(start="anywhere")]
-    seconds = EPISODE if recipe.task == "swing-up" else task.steps * rig.sample_time
-    shaped = Shaped(task=task, rig=rig, mixture=mixture, steps=max(round(seconds / recipe.period), 1))
+    shaped = Shaped(task=task, rig=rig, mixture=mixture, steps=max(round(recipe.episode / recipe.period), 1))
     return CartDoublePendulumVectorEnv(shaped, slow, recipe.copies, autoreset_mode=AutoresetMode.SAME_STEP)
 
 
@@ -434,11 +469,11 @@ def train_deep(
     """
     seed = checked_seed("seed", seed)
     try:
-        from .sb3 import Learner
+        made_by = learner_class(recipe)
     except ModuleNotFoundError as error:
-        raise ImportError(INSTALL) from error
+        raise ImportError(INSTALL[recipe.library]) from error
     folder = None if out is None else _folder(Path(out), recipe, seed)
-    learner = Learner(recipe, seed)
+    learner = made_by(recipe, seed)
     curve: list[Evaluation] = []
     best, best_policy = None, None
     checkpoint = None if folder is None else folder / "checkpoint.pt"
@@ -481,6 +516,15 @@ def train_deep(
     return DeepTraining(policy=best_policy, curve=curve, best=best)
 
 
+def learner_class(recipe: DeepRecipe) -> Callable[[DeepRecipe, int], Any]:
+    """Give what trains a recipe; importing it takes torch or JAX."""
+    if recipe.library == "jax":
+        from .sbx import Learner
+    else:
+        from .sb3 import Learner
+    return Learner
+
+
 def _policy(
     recipe: DeepRecipe, seed: int, command: str, network: Network, evaluation: Evaluation | None
 ) -> MLPPolicy | Network:
@@ -491,7 +535,7 @@ def _policy(
         "seed": seed,
         "command": command,
         "evaluation": None if evaluation is None else evaluation._asdict(),
-        "versions": _versions(),
+        "versions": _versions(recipe),
     }
     if recipe.env:
         return Network(
@@ -506,13 +550,19 @@ def _policy(
     )
 
 
-def _versions() -> dict[str, str]:
-    return versions() | {library: metadata.version(library) for library in ("torch", "stable_baselines3")}
+def _versions(recipe: DeepRecipe) -> dict[str, str]:
+    packages = {"sbx": "sbx-rl"}
+    return versions() | {
+        library: metadata.version(packages.get(library, library)) for library in NEEDED[recipe.library]
+    }
 
 
 def _folder(out: Path, recipe: DeepRecipe, seed: int) -> Path:
     """Make a folder for one training, or find that it was begun there."""
-    told = json.dumps({"seed": seed, "recipe": recipe.to_dict(), "versions": _versions()}, indent=2, default=str) + "\n"
+    told = (
+        json.dumps({"seed": seed, "recipe": recipe.to_dict(), "versions": _versions(recipe)}, indent=2, default=str)
+        + "\n"
+    )
     file = out / "recipe.json"
     if file.exists():
         before = json.loads(file.read_text(encoding="utf-8"))

@@ -1,7 +1,7 @@
 # pyright: reportMissingImports=false
 r"""Stable-Baselines3 at work: the adapter of vector environments, CAPS in PPO's loss, and a learner that can go on.
 
-The only file that imports torch and Stable-Baselines3; :mod:`rl.deep` imports it when a training begins.
+:mod:`rl.deep` imports it when a training begins.
 """
 
 from __future__ import annotations
@@ -252,20 +252,7 @@ class Learner:
         self._model = self._built()
 
     def _built(self) -> Any:
-        recipe, seed = self._recipe, self._seed
-        first, last = recipe.learning_rate
-
-        def learning_rate(_: float) -> float:
-            done = min(self._model.num_timesteps / recipe.steps, 1.0) if hasattr(self, "_model") else 0.0
-            return first + (last - first) * done
-
-        shared: dict[str, Any] = {
-            "learning_rate": learning_rate,
-            "batch_size": recipe.batch,
-            "gamma": recipe.gamma,
-            "seed": seed,
-            "device": "cpu",
-        }
+        recipe = self._recipe
         net: dict[str, Any] = {"net_arch": list(recipe.net)}
         if recipe.algo == "ppo":
             own: dict[str, Any] = net | {"log_std_init": float(np.log(recipe.noise))}
@@ -281,25 +268,56 @@ class Learner:
                 ent_coef=1.0 if caps else 0.0,
                 rollout_buffer_class=PairedBuffer if caps else None,
                 policy_kwargs=own,
-                **shared,
+                **self._shared(),
             )
-        size = int(self._env.action_space.shape[0])  # type: ignore[index]
-        noise = None
-        if recipe.algo != "sac":
-            noise = NormalActionNoise(np.zeros(size), np.full(size, recipe.noise))
-        normalised = NormalisedSACPolicy if recipe.algo == "sac" else NormalisedTD3Policy
-        return {"ddpg": DDPG, "td3": TD3, "sac": SAC}[recipe.algo](
-            cast(Any, normalised) if recipe.layer_norm else "MlpPolicy",
+        normalised: Any = NormalisedSACPolicy if recipe.algo == "sac" else NormalisedTD3Policy
+        model = {"ddpg": DDPG, "td3": TD3, "sac": SAC}[recipe.algo](
+            normalised if recipe.layer_norm else "MlpPolicy",
             self._env,
-            buffer_size=recipe.steps,
-            learning_starts=min(_WARM_UP, recipe.steps // 10),
-            train_freq=1,
-            gradient_steps=max(round(recipe.updates * recipe.copies), 1),
-            action_noise=noise,
-            replay_buffer_class=MirroredBuffer if recipe.mirror else None,
             policy_kwargs=net | {"optimizer_kwargs": {"fused": True}},  # the same steps, an eighth sooner
-            **shared,
+            **self._shared(),
+            **self._off_policy(),
         )
+        actor = model.policy.actor
+        with torch.no_grad():
+            if isinstance(model, SAC):
+                actor.mu.weight *= recipe.first_actions
+            else:
+                for one in (actor, model.policy.actor_target):
+                    one.mu[-2].weight *= recipe.first_actions
+        return model
+
+    def _shared(self) -> dict[str, Any]:
+        """Give what all algorithms are told."""
+        recipe = self._recipe
+        first, last = recipe.learning_rate
+
+        def learning_rate(_: float) -> float:
+            done = min(self._model.num_timesteps / recipe.steps, 1.0) if hasattr(self, "_model") else 0.0
+            return first + (last - first) * done
+
+        return {
+            "learning_rate": learning_rate,
+            "batch_size": recipe.batch,
+            "gamma": recipe.gamma,
+            "seed": self._seed,
+            "device": "cpu",
+        }
+
+    def _off_policy(self) -> dict[str, Any]:
+        """Give what DDPG, TD3 and SAC are told."""
+        recipe = self._recipe
+        size = int(self._env.action_space.shape[0])  # type: ignore[index]
+        return {
+            "buffer_size": recipe.steps,
+            "learning_starts": min(_WARM_UP, recipe.steps // 10),
+            "train_freq": 1,
+            "gradient_steps": max(round(recipe.updates * recipe.copies), 1),
+            "action_noise": None
+            if recipe.algo == "sac"
+            else NormalActionNoise(np.zeros(size), np.full(size, recipe.noise)),
+            "replay_buffer_class": MirroredBuffer if recipe.mirror else None,
+        }
 
     @property
     def steps(self) -> int:
@@ -341,12 +359,9 @@ class Learner:
         state: dict[str, Any] = {
             "steps": model.num_timesteps,
             "updates": model._n_updates,
-            "policy": model.policy.state_dict(),
-            "optimizers": [optimizer.state_dict() for optimizer in self._optimizers()],
-            "beside": _plain(beside),
+            "learned": self._learned(),
+            "beside": plain(beside),
         }
-        if isinstance(model, SAC):
-            state["entropy"] = model.log_ent_coef.detach() if model.log_ent_coef is not None else None
         if isinstance(model, OffPolicyAlgorithm):
             buffer = cast(Any, model.replay_buffer)
             filled = buffer.buffer_size if buffer.full else buffer.pos
@@ -362,11 +377,7 @@ class Learner:
         model = self._model
         model.num_timesteps = state["steps"]
         model._n_updates = state["updates"]
-        model.policy.load_state_dict(state["policy"])
-        for optimizer, saved in zip(self._optimizers(), state["optimizers"], strict=True):
-            optimizer.load_state_dict(saved)
-        if isinstance(model, SAC) and state["entropy"] is not None:
-            model.log_ent_coef.data.copy_(state["entropy"])  # type: ignore[union-attr]
+        self._learn_again(state["learned"])
         if isinstance(model, OffPolicyAlgorithm):
             buffer = cast(Any, model.replay_buffer)
             for name in _REPLAY:
@@ -375,11 +386,28 @@ class Learner:
         # Not the random numbers of the first time once more.
         model.set_random_seed((self._seed + 7919 * state["steps"]) % 2**31)
         beside = state["beside"]
-        beside["network"] = {
-            name: array.numpy() if isinstance(array, torch.Tensor) else np.array(array)
-            for name, array in beside["network"].items()
-        }
+        beside["network"] = {name: np.asarray(array) for name, array in arrays(beside["network"]).items()}
         return beside
+
+    def _learned(self) -> dict[str, Any]:
+        """Give all that updates have changed."""
+        model = self._model
+        learned = {
+            "policy": model.policy.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer in self._optimizers()],
+        }
+        if isinstance(model, SAC):
+            learned["entropy"] = model.log_ent_coef.detach() if model.log_ent_coef is not None else None
+        return learned
+
+    def _learn_again(self, learned: dict[str, Any]) -> None:
+        """Take what :meth:`_learned` gave."""
+        model = self._model
+        model.policy.load_state_dict(learned["policy"])
+        for optimizer, saved in zip(self._optimizers(), learned["optimizers"], strict=True):
+            optimizer.load_state_dict(saved)
+        if isinstance(model, SAC) and learned["entropy"] is not None:
+            model.log_ent_coef.data.copy_(learned["entropy"])  # type: ignore[union-attr]
 
     def _optimizers(self) -> Sequence[torch.optim.Optimizer]:
         model = self._model
@@ -394,12 +422,19 @@ class Learner:
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
-def _plain(thing: Any) -> Any:
+def plain(thing: Any) -> Any:
     """Give what torch reads back without running code: tensors, numbers, words, and lists and dicts of them."""
     if isinstance(thing, dict):
-        return {key: _plain(value) for key, value in thing.items()}
+        return {key: plain(value) for key, value in thing.items()}
     if isinstance(thing, list | tuple):
-        return [_plain(value) for value in thing]
+        return [plain(value) for value in thing]
     if isinstance(thing, np.ndarray):
-        return torch.from_numpy(thing.copy()) if thing.dtype.kind == "f" else str(thing)
+        return torch.from_numpy(thing.copy()) if thing.dtype.kind in "fi" else str(thing)
     return thing
+
+
+def arrays(thing: Any) -> Any:
+    """Give the same with arrays in place of tensors."""
+    if isinstance(thing, dict):
+        return {key: arrays(value) for key, value in thing.items()}
+    return thing.numpy() if isinstance(thing, torch.Tensor) else thing

@@ -32,7 +32,7 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 import dpend
 from dpend.rig import Rig
 
-from .deep import INSTALL, DeepRecipe, DeepTraining, Evaluation, train_deep
+from .deep import INSTALL, NEEDED, DeepRecipe, DeepTraining, Evaluation, train_deep
 from .gaussian_qac import GaussianQAC, TableOneMean
 from .linear_q import LinearQLearning
 from .lspi import LSPI
@@ -135,8 +135,8 @@ def main(arguments: Sequence[str] | None = None) -> list[Policy]:
     try:
         if isinstance(options, LinearOptions):
             return _train_linear(options, command, console)
-        if not all(find_spec(name) for name in ("torch", "stable_baselines3")):
-            raise ImportError(INSTALL)
+        if not all(find_spec(name) for name in NEEDED[options.recipe.library]):
+            raise ImportError(INSTALL[options.recipe.library])
         out = options.out or Path("results") / "deep" / options.recipe.name
         return _train(options, options.recipe, out, command, console)
     except KeyboardInterrupt:

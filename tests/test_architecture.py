@@ -194,6 +194,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "matplotlib": ("dpend/draw.py", "studies/*"),
     "torch": ("rl/sb3.py", "rl/pilco.py"),
     "stable_baselines3": ("rl/sb3.py",),
+    "jax": ("rl/sbx.py",),
+    "sbx": ("rl/sbx.py",),
     "numba": ("dpend/kernels.py", "controllers/ilqr_kernels.py", "rl/*"),
     "control": ("controllers/*",),
     "dask": ("studies/_study.py",),

@@ -14,7 +14,7 @@ import pytest
 import dpend
 from dpend.vector_env import CartDoublePendulumVectorEnv
 from rl import DeepRecipe, MLPPolicy, Network, load_policy, train_deep
-from rl.deep import DEFAULTS, INSTALL, evaluate, read_curve, swing_up_starts, training_envs
+from rl.deep import DEFAULTS, INSTALL, NEEDED, evaluate, learner_class, read_curve, swing_up_starts, training_envs
 from rl.shaping import observation_scales, observe
 from tests.rigs import whole
 
@@ -23,6 +23,9 @@ RIG = dpend.rig("gustafsson2016")
 needs_torch = pytest.mark.skipif(
     not (find_spec("torch") and find_spec("stable_baselines3")),
     reason="training needs torch and Stable-Baselines3, the extra `deep`",
+)
+needs_jax = pytest.mark.skipif(
+    not all(find_spec(name) for name in NEEDED["jax"]), reason="training in JAX needs SBX, the extra `jax`"
 )
 SMALL: dict[str, Any] = {
     "steps": 2048,
@@ -101,6 +104,11 @@ def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_bala
             "action_rate is for our own plant; got env 'InvertedDoublePendulum-v5'.",
         ),
         ({"sensor_noise": -0.1}, "sensor_noise must be at least 0; got -0.1."),
+        ({"first_actions": 0.0}, "first_actions must be above 0, at most 1; got 0.0."),
+        ({"first_actions": 0.1}, "first_actions is for DDPG, TD3 and SAC; got algo 'ppo'. Use noise."),
+        ({"episode": -1.0}, "episode must be at least 0; got -1.0."),
+        ({"library": "tensorflow"}, "There is no library 'tensorflow'. Known: jax, torch."),
+        ({"library": "jax"}, "library 'jax' is for DDPG, TD3 and SAC; got algo 'ppo'. Use library 'torch'."),
         ({"mirror": True}, "mirror is for DDPG, TD3 and SAC, which learn from what they keep; got algo 'ppo'."),
     ],
 )
@@ -189,13 +197,15 @@ def test_the_adapter_gives_the_observations_and_rewards_of_its_equations(action_
         small("ddpg"),
         small("td3", layer_norm=False),
         small("sac"),
+        *(
+            pytest.param(small(algo, library="jax"), marks=[needs_jax, pytest.mark.slow])
+            for algo in ("ddpg", "td3", "sac")
+        ),
     ],
-    ids=["ppo", "smooth", "ddpg", "td3", "sac"],
+    ids=lambda recipe: f"{recipe.name}-{recipe.library}",
 )
 def test_an_exported_policy_acts_as_its_model(recipe):
-    from rl.sb3 import Learner
-
-    learner = Learner(recipe, 0)
+    learner = learner_class(recipe)(recipe, 0)
     learner.learn(1024)
     x = np.random.default_rng(0).normal(scale=(1, 3, 3, 3, 6, 6), size=(500, 6))
     last = np.random.default_rng(1).uniform(-1, 1, 500) if recipe.action_rate else None
@@ -203,6 +213,27 @@ def test_an_exported_policy_acts_as_its_model(recipe):
     of_model = np.clip(learner.act(o.astype(np.float32)), -1, 1)
     np.testing.assert_allclose(learner.network()(o), of_model, rtol=0, atol=1e-5)
     assert np.ptp(of_model) > 1e-3
+
+
+@pytest.mark.parametrize(("episode", "seconds"), [(0.0, 10.0), (3.0, 3.0)])
+def test_an_episode_is_cut_off_after_the_seconds_that_the_recipe_says(episode, seconds):
+    recipe = DeepRecipe(algo="ddpg", episode=episode, copies=4)
+    envs = training_envs(recipe)
+    envs.reset(seed=0)
+    cut_off = [bool(envs.step(np.zeros((4, 1)))[3].any()) for _ in range(250)]
+    assert (cut_off.index(True) + 1) * recipe.period == pytest.approx(seconds)
+
+
+@needs_torch
+@pytest.mark.parametrize("library", ["torch", pytest.param("jax", marks=[needs_jax, pytest.mark.slow])])
+@pytest.mark.parametrize("algo", ["td3", "sac"])
+def test_small_first_actions_begin_with_a_hundredth_of_the_force(algo, library):
+    o = np.random.default_rng(0).normal(size=(300, 8)).astype(np.float32)
+    plain, gentle = (
+        np.arctanh(learner_class(recipe)(recipe, 0).act(o).astype(float))
+        for recipe in (small(algo, library=library), small(algo, library=library, first_actions=0.01))
+    )
+    np.testing.assert_allclose(gentle - gentle.mean(), 0.01 * (plain - plain.mean()), atol=1e-4)
 
 
 @needs_torch
@@ -278,8 +309,17 @@ def test_caps_pairs_observations_with_those_that_follow_and_takes_both_losses_of
 
 
 @needs_torch
-@pytest.mark.parametrize("algo", ["ppo", "sac"])
-def test_a_training_that_was_stopped_goes_on_and_a_finished_one_is_left_as_it_is(algo, tmp_path):
+@pytest.mark.parametrize(
+    "recipe",
+    [
+        small(),
+        small("sac"),
+        pytest.param(small("td3", library="jax"), marks=[needs_jax, pytest.mark.slow]),
+        pytest.param(small("sac", library="jax"), marks=[needs_jax, pytest.mark.slow]),
+    ],
+    ids=lambda recipe: f"{recipe.algo}-{recipe.library}",
+)
+def test_a_training_that_was_stopped_goes_on_and_a_finished_one_is_left_as_it_is(recipe, tmp_path):
     class Stopped(Exception):
         pass
 
@@ -287,15 +327,15 @@ def test_a_training_that_was_stopped_goes_on_and_a_finished_one_is_left_as_it_is
         raise Stopped
 
     with pytest.raises(Stopped):
-        train_deep(small(algo), 0, out=tmp_path, progress=stop)
+        train_deep(recipe, 0, out=tmp_path, progress=stop)
     kept = read_curve(tmp_path / "curve.csv")
     assert [seen.steps for seen in kept] == [1024]
-    training = train_deep(small(algo), 0, out=tmp_path)
+    training = train_deep(recipe, 0, out=tmp_path)
     assert [seen.steps for seen in training.curve] == [1024, 2048]
     assert training.curve[0].success == kept[0].success
     assert training.curve[1].cpu_seconds > training.curve[0].cpu_seconds
     content = (tmp_path / "checkpoint.pt").read_bytes()
-    again = train_deep(small(algo), 0, out=tmp_path)
+    again = train_deep(recipe, 0, out=tmp_path)
     assert repr(again.curve) == repr(training.curve)  # as words, since NaN differs from itself
     assert (tmp_path / "checkpoint.pt").read_bytes() == content
     for mine, theirs in zip(weights(again), weights(training), strict=True):
@@ -346,14 +386,20 @@ def test_importing_the_learners_loads_no_torch():
 
 def test_without_torch_training_says_what_to_install():
     done = run_python("import rl; rl.train_deep(rl.DeepRecipe())", without=("torch", "stable_baselines3"))
-    assert done.stderr.rstrip().splitlines()[-1] == f"ImportError: {INSTALL}"
+    assert done.stderr.rstrip().splitlines()[-1] == f"ImportError: {INSTALL['torch']}"
+
+
+def test_without_jax_training_in_it_says_what_to_install():
+    program = "import rl; rl.train_deep(rl.DeepRecipe(algo='ddpg', library='jax'))"
+    done = run_python(program, without=("sbx", "jax", "torch"))
+    assert done.stderr.rstrip().splitlines()[-1] == f"ImportError: {INSTALL['jax']}"
 
 
 def test_without_torch_the_command_line_says_what_to_install():
     program = "from rl import train; train.find_spec = lambda name: None; train.main(['--algo', 'ddpg'])"
     done = run_python(program)
     assert done.returncode == 2
-    assert " ".join(done.stderr.split()) == f"Error: {INSTALL}"
+    assert " ".join(done.stderr.split()) == f"Error: {INSTALL['torch']}"
 
 
 def test_the_command_line_refuses_bad_settings_before_anything_runs(capsys):

@@ -466,6 +466,7 @@ def test_a_frame_shows_the_last_sample_before_it(
     assert shown[-1][2] == run.t[-1]
 
 
+@pytest.mark.slow
 def test_an_mp4_has_its_frames_and_lasts_as_long_as_the_run(run: Run, tmp_path: Path) -> None:
     imageio_ffmpeg: Any = pytest.importorskip(
         "imageio_ffmpeg", reason="MP4 is not checked here: python -m pip install imageio-ffmpeg brings an ffmpeg."

@@ -314,6 +314,7 @@ def test_numpy_numba_and_casadi_give_the_same_rates(params: Params, x: Array, f:
     close(np.array(symbolic.rates_function(params)(x, f)).ravel(), expected)
 
 
+@pytest.mark.slow
 @given(plants(), states(), forces())
 def test_numpy_and_numba_give_the_same_rates_of_complex_numbers(params: Params, x: Array, f: Array) -> None:
     rng = np.random.default_rng(7)

@@ -56,6 +56,7 @@ def algorithm_2(learner, seed, episodes):
     return v, w, lengths
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "learner",
     [

@@ -71,6 +71,7 @@ def test_the_true_parameters_are_found_from_encoders() -> None:
     assert found.noise["pos"] == pytest.approx(np.hypot(1e-4, 1e-4 / np.sqrt(12)), rel=0.1)
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_about_as_often_as_they_say() -> None:
     assert 0.85 <= coverage(range(100, 108)) <= 1.0  # 48 intervals
 

@@ -33,6 +33,7 @@ def test_wilson_matches_the_closed_form():
     assert wilson(s, n) == pytest.approx((0.74, centre - half, centre + half))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("skills", [(8.0, 2.0), (2.0, 0.5)])
 def test_intervals_over_ten_trainings_cover_the_mean_of_trainings_that_differ(skills):
     rng = np.random.default_rng(1)

@@ -72,6 +72,7 @@ def test_those_that_take_long_meet_their_part_and_all_others_every_start():
     assert (every.side(every.entrant("iLQR MPC")), every.side(every.entrant("LQR"))) == (18, 41)
 
 
+@pytest.mark.slow
 def test_trained_controllers_meet_their_part_of_the_starts_that_lqr_meets_whole():
     options = lambda_sweep.Options(trainings=2, episodes=30, lam=(0.3,), basins=0)
     task = dpend.Balance(lam=0.3)

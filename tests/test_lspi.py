@@ -107,6 +107,7 @@ def test_its_force_is_as_smooth_as_that_of_the_gain_it_finds():
     assert learned.metrics()["variation"].mean() == pytest.approx(designed.metrics()["variation"].mean(), rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [LSPI, QuadraticQLearning])
 def test_the_same_seed_learns_the_same_and_another_something_else(kind):
     learner = kind(RIG)

@@ -43,6 +43,7 @@ def test_a_study_may_draw_several_figures(tmp_path, monkeypatch):
     assert {file.name for file in tmp_path.glob("*.png")} == {"tests.study_example.png", "tests.study_example_more.png"}
 
 
+@pytest.mark.slow
 def test_several_workers_give_the_same_table(tmp_path):
     tables = [
         _study.main("tests.study_example", ["--out", str(tmp_path / n), "--workers", n, "--jobs", "4"]) for n in "12"
@@ -50,6 +51,7 @@ def test_several_workers_give_the_same_table(tmp_path):
     assert tables[0] == tables[1]
 
 
+@pytest.mark.slow
 def test_killed_in_the_middle_and_started_again_it_ends_with_the_same_table(tmp_path):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     options = ("--nap", "0.1")
@@ -134,13 +136,8 @@ def test_every_study_says_its_question_and_its_finding(name):
     assert finding.startswith("Finding: ")
 
 
-FIRST = "studies.lambda_sweep"
-"""What everybody runs first; trying all the others takes longer."""
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name == FIRST else [pytest.mark.slow]) for name in _study.studies()]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(_study.studies()))
 def test_every_study_runs_quickly(name, tmp_path):
     rows = _study.main(name, ["--quick", "--out", str(tmp_path), "--workers", "1"])
     assert rows

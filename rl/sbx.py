@@ -1,0 +1,76 @@
+# pyright: reportMissingImports=false
+r"""SBX at work: DDPG, TD3 and SAC in JAX, on the environments and with the replay of :mod:`rl.sb3`.
+
+SBX has the algorithms of Stable-Baselines3 with compiled updates.  :mod:`rl.deep` imports this file when a recipe's
+library is ``"jax"``.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # matrices so small gain nothing from threads
+
+import jax
+import numpy as np
+import optax
+import sbx
+from flax import serialization
+
+from . import sb3
+from .policies import Network
+
+
+class Learner(sb3.Learner):
+    """A model of SBX in its environments; what is public is that of :class:`rl.sb3.Learner`."""
+
+    def _built(self) -> Any:
+        recipe, shared = self._recipe, self._shared()
+        own: dict[str, Any] = {"net_arch": list(recipe.net), "layer_norm": recipe.layer_norm}
+        if recipe.algo != "sac":
+            # SBX's own DDPG and TD3 keep the rate of the beginning.
+            falling = optax.linear_schedule(*recipe.learning_rate, round(recipe.steps * recipe.updates))
+            own["optimizer_class"] = lambda learning_rate: optax.adam(falling)
+        algorithm: Any = {"ddpg": sbx.DDPG, "td3": sbx.TD3, "sac": sbx.SAC}[recipe.algo]
+        model = algorithm(
+            "MlpPolicy", self._env, qf_learning_rate=None, policy_kwargs=own, **shared, **self._off_policy()
+        )
+        state, last = model.policy.actor_state, f"Dense_{len(recipe.net)}"
+
+        def first(parameters: Any) -> Any:
+            layers = parameters["params"]
+            layer = layers[last] | {"kernel": recipe.first_actions * layers[last]["kernel"]}
+            return parameters | {"params": layers | {last: layer}}
+
+        model.policy.actor_state = state.replace(params=first(state.params))
+        if recipe.algo != "sac":
+            model.policy.actor_state = model.policy.actor_state.replace(target_params=first(state.target_params))
+        return model
+
+    def network(self) -> Network:
+        """Give the actor as plain arrays."""
+        layers = self._model.policy.actor_state.params["params"]
+        dense = [layers[f"Dense_{i}"] for i in range(len(self._recipe.net) + 1)]  # SAC's spread has one more
+        return Network(
+            [np.transpose(layer["kernel"]) for layer in dense],
+            [np.asarray(layer["bias"]) for layer in dense],
+            activation="relu",
+            squash="tanh",
+        )
+
+    def _learned(self) -> dict[str, Any]:
+        states = {name: serialization.to_state_dict(state) for name, state in self._states().items()}
+        return sb3.plain(jax.tree.map(np.asarray, states))
+
+    def _learn_again(self, learned: dict[str, Any]) -> None:
+        for name, state in self._states().items():
+            owner = self._model if name == "ent_coef_state" else self._model.policy
+            setattr(owner, name, serialization.from_state_dict(state, sb3.arrays(learned[name])))
+
+    def _states(self) -> dict[str, Any]:
+        model = self._model
+        states = {"actor_state": model.policy.actor_state, "qf_state": model.policy.qf_state}
+        if self._recipe.algo == "sac":
+            states["ent_coef_state"] = model.ent_coef_state
+        return states
