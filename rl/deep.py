@@ -519,7 +519,7 @@ def train_deep(
 def learner_class(recipe: DeepRecipe) -> Callable[[DeepRecipe, int], Any]:
     """Give what trains a recipe; importing it takes torch or JAX."""
     if recipe.library == "jax":
-        from .sbx import Learner
+        from .sb3_jax import Learner
     else:
         from .sb3 import Learner
     return Learner
