@@ -8,12 +8,13 @@ random steps at the beginning are left out, evaluations too.
 from __future__ import annotations
 
 import time
+from importlib.util import find_spec
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rl.deep import DeepRecipe, learner_class
+from rl.deep import INSTALL, NEEDED, DeepRecipe, learner_class
 
 REPETITIONS = 3
 ROUNDS = 50
@@ -21,6 +22,8 @@ COPIES = 16
 
 
 def main() -> None:
+    if not all(find_spec(name) for name in NEEDED["jax"]):
+        raise SystemExit(INSTALL["jax"])
     table = Table("", "torch, steps/s", "JAX, steps/s", "ratio", title=f"Best of {REPETITIONS} interleaved repetitions")
     for algo in ("ddpg", "td3", "sac"):
         learners = []

@@ -1,4 +1,4 @@
-r"""Deep reinforcement learning: PPO, DDPG, TD3 and SAC of Stable-Baselines3 on the native vector environment.
+r"""Deep reinforcement learning: PPO, DDPG, TD3 and SAC of Stable-Baselines3 and SBX on the native vector environment.
 
 A :class:`DeepRecipe` says everything that a training depends on but its seed; :func:`train_deep` follows it.  What is
 seen and rewarded is stated in :mod:`rl.shaping`.  ``docs/deep-rl.md`` lists settings, deviations and results.

@@ -307,7 +307,7 @@ class Learner:
     def _off_policy(self) -> dict[str, Any]:
         """Give what DDPG, TD3 and SAC are told."""
         recipe = self._recipe
-        size = int(self._env.action_space.shape[0])  # type: ignore[index]
+        size = int(np.prod(self._env.action_space.shape or ()))
         return {
             "buffer_size": recipe.steps,
             "learning_starts": min(_WARM_UP, recipe.steps // 10),
@@ -392,12 +392,12 @@ class Learner:
     def _learned(self) -> dict[str, Any]:
         """Give all that updates have changed."""
         model = self._model
-        learned = {
+        learned: dict[str, Any] = {
             "policy": model.policy.state_dict(),
             "optimizers": [optimizer.state_dict() for optimizer in self._optimizers()],
         }
-        if isinstance(model, SAC):
-            learned["entropy"] = model.log_ent_coef.detach() if model.log_ent_coef is not None else None
+        if isinstance(model, SAC) and model.log_ent_coef is not None:
+            learned["entropy"] = model.log_ent_coef.detach()
         return learned
 
     def _learn_again(self, learned: dict[str, Any]) -> None:
@@ -406,8 +406,8 @@ class Learner:
         model.policy.load_state_dict(learned["policy"])
         for optimizer, saved in zip(self._optimizers(), learned["optimizers"], strict=True):
             optimizer.load_state_dict(saved)
-        if isinstance(model, SAC) and learned["entropy"] is not None:
-            model.log_ent_coef.data.copy_(learned["entropy"])  # type: ignore[union-attr]
+        if isinstance(model, SAC) and model.log_ent_coef is not None:
+            model.log_ent_coef.data.copy_(learned["entropy"])
 
     def _optimizers(self) -> Sequence[torch.optim.Optimizer]:
         model = self._model

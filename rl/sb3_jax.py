@@ -8,6 +8,7 @@ library is ``"jax"``.
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")  # matrices so small gain nothing from threads
@@ -29,7 +30,8 @@ class Learner(sb3.Learner):
         recipe, shared = self._recipe, self._shared()
         own: dict[str, Any] = {"net_arch": list(recipe.net), "layer_norm": recipe.layer_norm}
         if recipe.algo != "sac":
-            # SBX's own DDPG and TD3 keep the rate of the beginning.
+            # SBX's own DDPG and TD3 keep the rate of the beginning.  This one counts a network's own updates, of which
+            # TD3's actor has half as many.
             falling = optax.linear_schedule(*recipe.learning_rate, round(recipe.steps * recipe.updates))
             own["optimizer_class"] = lambda learning_rate: optax.adam(falling)
         algorithm: Any = {"ddpg": sbx.DDPG, "td3": sbx.TD3, "sac": sbx.SAC}[recipe.algo]
@@ -58,6 +60,12 @@ class Learner(sb3.Learner):
             activation="relu",
             squash="tanh",
         )
+
+    def restore(self, path: Path) -> dict[str, Any]:
+        """Go on from what :meth:`rl.sb3.Learner.save` wrote, in new episodes; give what was saved beside it."""
+        beside = super().restore(path)
+        self._model.policy.key = jax.random.fold_in(self._model.key, 0)  # which SAC explores with
+        return beside
 
     def _learned(self) -> dict[str, Any]:
         states = {name: serialization.to_state_dict(state) for name, state in self._states().items()}

@@ -21,7 +21,7 @@ from tests.rigs import whole
 ROOT = Path(__file__).parent.parent
 RIG = dpend.rig("gustafsson2016")
 needs_torch = pytest.mark.skipif(
-    not (find_spec("torch") and find_spec("stable_baselines3")),
+    not all(find_spec(name) for name in NEEDED["torch"]),
     reason="training needs torch and Stable-Baselines3, the extra `deep`",
 )
 needs_jax = pytest.mark.skipif(
@@ -342,6 +342,18 @@ def test_a_training_that_was_stopped_goes_on_and_a_finished_one_is_left_as_it_is
         np.testing.assert_array_equal(mine, theirs)
 
 
+@needs_jax
+@pytest.mark.slow
+def test_sac_in_jax_that_goes_on_does_not_explore_as_it_did_the_first_time(tmp_path):
+    recipe = small("sac", library="jax")
+    first, again = (learner_class(recipe)(recipe, 0) for _ in range(2))
+    first.save(tmp_path / "checkpoint.pt", {"network": {}})
+    again.restore(tmp_path / "checkpoint.pt")
+    o = np.zeros((300, 8), dtype=np.float32)
+    one, other = (learner._model.predict(o, deterministic=False)[0] for learner in (first, again))
+    assert np.abs(one - other).max() > 0.1
+
+
 @needs_torch
 def test_the_same_seed_learns_the_same_and_another_something_else():
     one, same, other = (weights(train_deep(small(), seed))[0] for seed in (0, 0, 1))
@@ -380,7 +392,7 @@ def run_python(program, *, without=()):
 
 
 def test_importing_the_learners_loads_no_torch():
-    done = run_python("import rl; print([name for name in ('torch', 'stable_baselines3') if name in sys.modules])")
+    done = run_python(f"import rl; print([name for name in {NEEDED['jax']} if name in sys.modules])")
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
@@ -391,7 +403,7 @@ def test_without_torch_training_says_what_to_install():
 
 def test_without_jax_training_in_it_says_what_to_install():
     program = "import rl; rl.train_deep(rl.DeepRecipe(algo='ddpg', library='jax'))"
-    done = run_python(program, without=("sbx", "jax", "torch"))
+    done = run_python(program, without=("sbx", "jax"))
     assert done.stderr.rstrip().splitlines()[-1] == f"ImportError: {INSTALL['jax']}"
 
 
