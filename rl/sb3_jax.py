@@ -18,9 +18,43 @@ import numpy as np
 import optax
 import sbx
 from flax import serialization
+from flax.training.train_state import TrainState
 
 from . import sb3
 from .policies import Network
+
+_adam = optax.inject_hyperparams(optax.adam)  # whose rate can be set at any time
+
+
+def _states(model: Any) -> dict[str, Any]:
+    """Give all of a model that learns, by the names of its attributes."""
+    states = {"actor_state": model.policy.actor_state, "qf_state": model.policy.qf_state}
+    if hasattr(model, "ent_coef_state"):
+        states["ent_coef_state"] = model.ent_coef_state
+    return states
+
+
+class _Falling:
+    """Gives everything that learns the rate of now; DDPG, TD3 and the entropy weight of SAC keep the first else."""
+
+    def train(self: Any, gradient_steps: int, batch_size: int) -> None:
+        rate = self.lr_schedule(self._current_progress_remaining)
+        self._update_learning_rate([state.opt_state for state in _states(self).values()], rate)
+        super().train(gradient_steps, batch_size)  # type: ignore[misc]
+
+
+class _DDPG(_Falling, sbx.DDPG): ...
+
+
+class _TD3(_Falling, sbx.TD3): ...
+
+
+class _SAC(_Falling, sbx.SAC):
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        self.ent_coef_state = TrainState.create(
+            apply_fn=self.ent_coef.apply, params=self.ent_coef_state.params, tx=_adam(self.lr_schedule(1))
+        )
 
 
 class Learner(sb3.Learner):
@@ -30,11 +64,8 @@ class Learner(sb3.Learner):
         recipe, shared = self._recipe, self._shared()
         own: dict[str, Any] = {"net_arch": list(recipe.net), "layer_norm": recipe.layer_norm}
         if recipe.algo != "sac":
-            # SBX's own DDPG and TD3 keep the rate of the beginning.  This one counts a network's own updates, of which
-            # TD3's actor has half as many.
-            falling = optax.linear_schedule(*recipe.learning_rate, round(recipe.steps * recipe.updates))
-            own["optimizer_class"] = lambda learning_rate: optax.adam(falling)
-        algorithm: Any = {"ddpg": sbx.DDPG, "td3": sbx.TD3, "sac": sbx.SAC}[recipe.algo]
+            own["optimizer_class"] = _adam  # SAC makes its Adam so itself
+        algorithm: Any = {"ddpg": _DDPG, "td3": _TD3, "sac": _SAC}[recipe.algo]
         model = algorithm(
             "MlpPolicy", self._env, qf_learning_rate=None, policy_kwargs=own, **shared, **self._off_policy()
         )
@@ -68,17 +99,10 @@ class Learner(sb3.Learner):
         return beside
 
     def _learned(self) -> dict[str, Any]:
-        states = {name: serialization.to_state_dict(state) for name, state in self._states().items()}
+        states = {name: serialization.to_state_dict(state) for name, state in _states(self._model).items()}
         return sb3.plain(jax.tree.map(np.asarray, states))
 
     def _learn_again(self, learned: dict[str, Any]) -> None:
-        for name, state in self._states().items():
+        for name, state in _states(self._model).items():
             owner = self._model if name == "ent_coef_state" else self._model.policy
             setattr(owner, name, serialization.from_state_dict(state, sb3.arrays(learned[name])))
-
-    def _states(self) -> dict[str, Any]:
-        model = self._model
-        states = {"actor_state": model.policy.actor_state, "qf_state": model.policy.qf_state}
-        if self._recipe.algo == "sac":
-            states["ent_coef_state"] = model.ent_coef_state
-        return states

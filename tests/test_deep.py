@@ -344,6 +344,22 @@ def test_a_training_that_was_stopped_goes_on_and_a_finished_one_is_left_as_it_is
 
 @needs_jax
 @pytest.mark.slow
+@pytest.mark.parametrize("algo", ["ddpg", "td3", "sac"])
+def test_in_jax_the_rate_of_all_that_learns_falls_with_the_steps(algo):
+    from rl.sb3_jax import Learner, _states
+
+    recipe = small(algo, library="jax", learning_rate=(1e-3, 1e-4))
+    learner = Learner(recipe, 0)
+    learner.learn(recipe.steps // 2)
+    done = learner.steps / recipe.steps
+    states = _states(learner._model)
+    assert len(states) == 2 + (algo == "sac")
+    for state in states.values():
+        assert float(state.opt_state.hyperparams["learning_rate"]) == pytest.approx(1e-3 - 9e-4 * done, rel=0.01)
+
+
+@needs_jax
+@pytest.mark.slow
 def test_sac_in_jax_that_goes_on_does_not_explore_as_it_did_the_first_time(tmp_path):
     recipe = small("sac", library="jax")
     first, again = (learner_class(recipe)(recipe, 0) for _ in range(2))
