@@ -104,6 +104,8 @@ class DeepRecipe:
     starts : {"mixed", "rest"}
         Where episodes of the swing-up begin: hanging, level to the side, near upright or anywhere, each equally often;
         or at rest alone, hanging or level to the side.
+    near : float
+        Greatest angle of those near upright, rad.
     steps : int
         Environment steps in all copies together.
     copies : int
@@ -131,8 +133,8 @@ class DeepRecipe:
         Factor on the last layer of the actor of DDPG, TD3 and SAC before anything is learned; a small one begins with
         hardly any force, as the DDPG paper does.
     action_rate : float
-        Weight w of the penalty w |a_t - a_{t-1}| near upright, which grows from nothing to this while it learns, at
-        each evaluation; the last action is then observed.
+        Weight w of the penalty w |a_t - a_{t-1}| near upright, which grows from nothing to this in the first half of
+        the steps, at each evaluation; the last action is then observed.
     sensor_noise : float
         Standard deviation of noise on every measured state while learning (m, rad, m/s, rad/s), in place of the rig's
         own; at zero, the rig's own.  Evaluations are on the rig as it is.
@@ -165,6 +167,7 @@ class DeepRecipe:
     rig: Rig = field(default_factory=lambda: dpend.rig("gustafsson2016"))
     env: str = ""
     starts: Literal["mixed", "rest"] = "mixed"
+    near: float = 0.1
     steps: int = 0
     copies: int = 0
     net: tuple[int, ...] = (64, 64)
@@ -234,6 +237,7 @@ class DeepRecipe:
             ("updates", 0 < self.updates < math.inf, "greater than 0"),
             ("gamma", 0 < self.gamma < 1, "between 0 and 1"),
             ("noise", 0 < self.noise < math.inf, "greater than 0"),
+            ("near", 0 < self.near <= math.pi / 2, "above 0, at most π/2"),
             ("episode", 0 <= self.episode < math.inf, "at least 0"),
             ("first_actions", 0 < self.first_actions <= 1, "above 0, at most 1"),
             ("action_rate", 0 <= self.action_rate < math.inf, "at least 0"),
@@ -343,7 +347,7 @@ def training_envs(recipe: DeepRecipe) -> gym.vector.VectorEnv[Any, Any, Any]:
         task = SwingUp()
         mixture = [SwingUp(start=start, spread=0.1) for start in ("hanging", "side")]
         if recipe.starts == "mixed":
-            mixture = [*mixture, Balance(lam=0.1), SwingUp(start="anywhere")]
+            mixture = [*mixture, Balance(lam=recipe.near), SwingUp(start="anywhere")]
     shaped = Shaped(task=task, rig=rig, mixture=mixture, steps=max(round(recipe.episode / recipe.period), 1))
     return CartDoublePendulumVectorEnv(shaped, slow, recipe.copies, autoreset_mode=AutoresetMode.SAME_STEP)
 

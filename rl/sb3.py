@@ -326,7 +326,7 @@ class Learner:
 
     def learn(self, steps: int) -> None:
         """Take so many environment steps, or the next number that fills a round, and learn from them."""
-        self._env.grown = min((self.steps + steps) / self._recipe.steps, 1.0)
+        self._env.grown = min(2 * (self.steps + steps) / self._recipe.steps, 1.0)
         self._model.learn(steps, reset_num_timesteps=False)
 
     def act(self, observations: Any) -> Any:

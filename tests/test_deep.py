@@ -107,6 +107,7 @@ def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_bala
         ({"first_actions": 0.0}, "first_actions must be above 0, at most 1; got 0.0."),
         ({"first_actions": 0.1}, "first_actions is for DDPG, TD3 and SAC; got algo 'ppo'. Use noise."),
         ({"episode": -1.0}, "episode must be at least 0; got -1.0."),
+        ({"near": 0.0}, "near must be above 0, at most π/2; got 0.0."),
         ({"library": "tensorflow"}, "There is no library 'tensorflow'. Known: jax, torch."),
         ({"library": "jax"}, "library 'jax' is for DDPG, TD3 and SAC; got algo 'ppo'. Use library 'torch'."),
         ({"mirror": True}, "mirror is for DDPG, TD3 and SAC, which learn from what they keep; got algo 'ppo'."),
@@ -234,6 +235,30 @@ def test_small_first_actions_begin_with_a_hundredth_of_the_force(algo, library):
         for recipe in (small(algo, library=library), small(algo, library=library, first_actions=0.01))
     )
     np.testing.assert_allclose(gentle - gentle.mean(), 0.01 * (plain - plain.mean()), atol=1e-4)
+
+
+@pytest.mark.parametrize("near", [0.1, 0.25])
+def test_a_quarter_of_the_starts_are_at_rest_and_as_near_upright_as_the_recipe_says(near):
+    envs = training_envs(DeepRecipe(near=near, copies=4000))
+    assert isinstance(envs, CartDoublePendulumVectorEnv)
+    envs.reset(seed=0)
+    at_rest = envs.state[(np.abs(envs.state[:, [0, 3, 4, 5]]) < 1e-12).all(axis=1)]
+    upright = np.abs(at_rest[np.abs(at_rest[:, 1:3]).max(axis=1) < 1.0, 1:3])
+    assert len(upright) == pytest.approx(1000, abs=100)
+    assert upright.max() == pytest.approx(near, rel=0.01)
+    assert upright.max() <= near
+
+
+@needs_torch
+def test_the_price_of_changes_grows_in_the_first_half_of_the_steps():
+    from rl.sb3 import Learner
+
+    learner = Learner(small("ddpg", action_rate=0.3), 0)
+    seen = []
+    for _ in range(4):
+        learner.learn(512)
+        seen.append(learner._env.grown)
+    assert seen == [0.5, 1.0, 1.0, 1.0]
 
 
 @needs_torch
