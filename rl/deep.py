@@ -123,6 +123,9 @@ class DeepRecipe:
     noise : float
         Standard deviation of the actions at first (PPO) or of what is added to them (DDPG, TD3), in shares of the force
         limit.
+    target_kl : float
+        PPO ends a round of updates early where they have moved it by 1.5 times this Kullback-Leibler divergence, nats;
+        at zero, never.
     period : float
         How long a force is held, s; a whole number of samples.  At zero, the greatest up to 0.04 s for the swing-up and
         one sample for balancing.
@@ -176,6 +179,7 @@ class DeepRecipe:
     updates: float = 0.0
     gamma: float = 0.99
     noise: float = 0.0
+    target_kl: float = 0.0
     period: float = 0.0
     episode: float = 0.0
     first_actions: float = 1.0
@@ -237,6 +241,7 @@ class DeepRecipe:
             ("updates", 0 < self.updates < math.inf, "greater than 0"),
             ("gamma", 0 < self.gamma < 1, "between 0 and 1"),
             ("noise", 0 < self.noise < math.inf, "greater than 0"),
+            ("target_kl", 0 <= self.target_kl < math.inf, "at least 0"),
             ("near", 0 < self.near <= math.pi / 2, "above 0, at most π/2"),
             ("episode", 0 <= self.episode < math.inf, "at least 0"),
             ("first_actions", 0 < self.first_actions <= 1, "above 0, at most 1"),
@@ -250,6 +255,8 @@ class DeepRecipe:
                 raise ValueError(f"{name} must be {wanted}; got {getattr(self, name)!r}.")
         if any(self.caps) and self.algo != "ppo":
             raise ValueError(f"caps is for PPO; got algo {self.algo!r}. Use action_rate.")
+        if self.target_kl and self.algo != "ppo":
+            raise ValueError(f"target_kl is for PPO; got algo {self.algo!r}.")
         if self.library == "jax" and self.algo == "ppo":
             raise ValueError("library 'jax' is for DDPG, TD3 and SAC; got algo 'ppo'. Use library 'torch'.")
         if self.first_actions != 1.0 and self.algo == "ppo":

@@ -265,6 +265,7 @@ class Learner:
                 n_steps=ROLLOUT,
                 n_epochs=max(round(recipe.updates * recipe.batch), 1),
                 gae_lambda=0.95,
+                target_kl=recipe.target_kl or None,
                 ent_coef=1.0 if caps else 0.0,
                 rollout_buffer_class=PairedBuffer if caps else None,
                 policy_kwargs=own,

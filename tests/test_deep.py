@@ -107,6 +107,8 @@ def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_bala
         ({"first_actions": 0.0}, "first_actions must be above 0, at most 1; got 0.0."),
         ({"first_actions": 0.1}, "first_actions is for DDPG, TD3 and SAC; got algo 'ppo'. Use noise."),
         ({"episode": -1.0}, "episode must be at least 0; got -1.0."),
+        ({"target_kl": -0.01}, "target_kl must be at least 0; got -0.01."),
+        ({"algo": "sac", "target_kl": 0.02}, "target_kl is for PPO; got algo 'sac'."),
         ({"near": 0.0}, "near must be above 0, at most π/2; got 0.0."),
         ({"library": "tensorflow"}, "There is no library 'tensorflow'. Known: jax, torch."),
         ({"library": "jax"}, "library 'jax' is for DDPG, TD3 and SAC; got algo 'ppo'. Use library 'torch'."),
@@ -247,6 +249,16 @@ def test_a_quarter_of_the_starts_are_at_rest_and_as_near_upright_as_the_recipe_s
     assert len(upright) == pytest.approx(1000, abs=100)
     assert upright.max() == pytest.approx(near, rel=0.01)
     assert upright.max() <= near
+
+
+@needs_torch
+@pytest.mark.parametrize(("target_kl", "epochs"), [(0.0, 4), (1e-9, 1)])
+def test_a_round_of_ppo_ends_where_it_has_gone_far_enough(target_kl, epochs):
+    from rl.sb3 import Learner
+
+    learner = Learner(small(updates=4 / 64, target_kl=target_kl), 0)
+    learner.learn(1024)
+    assert learner._model._n_updates == epochs
 
 
 @needs_torch
