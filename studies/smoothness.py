@@ -43,7 +43,7 @@ from controllers import NMPC, LowPass, RateLimit
 from dpend.metrics import power_spectrum
 from dpend.params import Array
 from dpend.provenance import fingerprint
-from rl import load_policy
+from rl import DeepRecipe, load_policy
 
 from . import _entrants, _study
 from ._entrants import RIG, Style, styles
@@ -208,7 +208,9 @@ def trainings(runs: Path) -> list[Training]:
         used = {name: weight for name, weight in means.items() if weight}
         device, strength = ", ".join(used) or "plain", next(iter(used.values()), 0.0)
         aside = ("caps", "action_rate", "sensor_noise", "steps", "enough", "evaluate_every")
-        recipe = {name: value for name, value in recipe.items() if name not in aside and value}
+        # A setting that is younger than the training was at its default.
+        recipe = DeepRecipe(**recipe | {"rig": RIG}).to_dict()
+        recipe = {name: value for name, value in recipe.items() if name not in aside}
         alike.setdefault(json.dumps(recipe, sort_keys=True), []).append(Training(policy.parent, device, strength))
     pairs = [group for group in alike.values() if len({found.device for found in group}) > 1]
     return [found for group in pairs for found in group if any(other.device == "plain" for other in group)]

@@ -143,7 +143,8 @@ def test_trainings_that_differ_in_smoothing_alone_are_found_and_no_others(tmp_pa
     recipes = {
         "ppo": plain,
         "ppo-caps": plain | {"caps": [0.3, 0.1, 0.02], "steps": 2, "mirror": False},
-        "ppo-both": plain | {"action_rate": 0.1, "sensor_noise": 0.002},
+        "ppo-both": plain
+        | {"action_rate": 0.1, "sensor_noise": 0.002, "near": 0.1, "episode": 10.0},  # younger settings
         "ppo-wide": plain | {"net": [128], "action_rate": 0.1},  # no plain one beside it
         "ppo-rest": plain | {"starts": "rest"},  # no smooth one beside it
         "ppo-env": plain | {"env": "InvertedDoublePendulum-v5"},
