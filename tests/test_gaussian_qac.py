@@ -127,6 +127,7 @@ def test_the_critic_finds_the_exact_q_of_a_noisy_linear_policy():
     assert_allclose(q, exact, rtol=1e-3, atol=1e-3 * np.abs(exact).max())
 
 
+@pytest.mark.slow
 def test_as_published_with_large_steps_the_weights_overflow_and_with_small_ones_nothing_is_learned():
     diverged = GaussianQAC.published(RIG, alpha=1e-2, beta=1e-2).train(0)
     assert diverged.outcome is Outcome.DIVERGED

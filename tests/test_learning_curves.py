@@ -76,7 +76,7 @@ def test_trainings_that_never_get_there_count_as_more_than_all_others():
 @pytest.mark.parametrize(
     "learner",
     [
-        LinearQLearning.published(RIG),
+        pytest.param(LinearQLearning.published(RIG), marks=pytest.mark.slow),
         LinearQLearning.tuned(RIG, select=False),
         GaussianQAC.published(RIG, indicators="signs"),
         GaussianQAC.tuned(RIG),
