@@ -224,7 +224,7 @@ ENTRANTS: tuple[Entrant, ...] = (
     ),
     Entrant(
         name="PPO swing-up, smooth", make=_learned("ppo-swing-up-smooth"), tasks=BOTH,
-        told=Told("none", "shaped, and changes of force", "hanging or level to the side"),
+        told=Told("none", "shaped, and changes of force", "anywhere, near upright too"),
         style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth", trainings="ppo-swing-up-smooth",
     ),
     Entrant(

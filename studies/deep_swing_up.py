@@ -4,20 +4,20 @@ Method: every training under ``docs/results/deep`` (``--runs``) was made by ``py
 and kept its evaluation curve and its best policy, chosen on starts of its own.  Here each policy meets 1000 fresh
 starts on gustafsson2016: for the swing-up half hanging and half level to the side, each angle within 0.05 rad, ten
 seconds, the last of them with both links within 0.2 rad of upright; for balancing θ1, θ2 ~ U[-0.3, 0.3] for 300
-samples.  Intervals are 95 % over trainings.  Variation is the total variation of the force: over the last four seconds
-of the runs that succeed; while balancing from θ1, θ2 ~ U[-0.1, 0.1] for 300 samples, with perfect sensors and with
-noise of 0.002 (m, rad, m/s, rad/s) on every measured state; and over the last four seconds of the latter, when the
-start is forgotten.  Beside stands the least that any force can have in such 300 samples, by linear programming on the
-linearised plant.
+samples.  Each also meets as many starts with θ1, θ2 ~ U[-0.1, 0.1], to be balanced for 300 samples with perfect sensors
+and with noise of 0.002 (m, rad, m/s, rad/s) on every measured state.  Intervals are 95 % over trainings.  Variation is
+the total variation of the force: over the last four seconds of the runs that succeed; while balancing from those
+starts, with perfect sensors and with noise; and over the last four seconds of the latter, when the start is forgotten.
+Beside stands the least that any force can have in such 300 samples, by linear programming on the linearised plant.
 
 Finding: PPO swings up 99.4 % [98.6, 100.0] of the starts (five trainings of at most 8 million steps, two minutes of
 processor time), and 100.0 % [99.9, 100.0] where its episodes began at rest alone (five of 2.6 to 3.9 million); DDPG
 100 % in four of five trainings of 180 000 to 280 000 steps, 97 % in the fifth.  At most 100 000 steps suffice four of
 five for 99.6 to 100 %, with mirrored transitions, short episodes and an update for every step.  TD3 and SAC, in JAX,
 learn it in one and two of five trainings of at most 500 000.  A penalty on changes of force near upright, learned with
-sensor noise, keeps 100.0 % [99.9, 100.0] (three trainings) and has 0.29 of plain PPO's variation while it stands under
-noise; catching the start included 0.38, and with perfect sensors 1.13, where a third would be less than the least that
-any force can have.
+sensor noise and CAPS, keeps 99.7 % [99.0, 100.0] (four trainings) and has 0.25 of plain PPO's variation while it stands
+under noise; catching the start included 0.40, and with perfect sensors 1.57, where a third would be less than the least
+that any force can have.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -91,8 +92,12 @@ class Row:
     successes: int = 0
     variation: float = math.nan
     """Of the force, over the last four seconds of the runs that succeed, in force limits per second."""
+    balanced: int = 0
+    """How many of as many starts at λ = 0.1 it balances."""
+    balanced_noisy: int = 0
+    """The same with sensor noise."""
     balancing: float = math.nan
-    """The same while balancing from λ = 0.1; NaN where no run succeeds."""
+    """The variation while balancing from λ = 0.1; NaN where no run succeeds."""
     balancing_noisy: float = math.nan
     """The same with sensor noise."""
     standing_noisy: float = math.nan
@@ -150,16 +155,19 @@ def run(job: Job, options: Options) -> Result:
         curve, best = read_curve(folder / "curve.csv"), policy.about["evaluation"]["steps"]
         tests = len(curve) * recipe["evaluation_starts"] * _EVALUATED[task]
     success, variation = evaluate(controller, task, rig, n, [_STREAM, options.seed])
-    noisy, standing = _balancing(rig.replace(sensor_noise=_NOISE), controller, n, options.seed)
+    perfect = _balancing(rig, controller, n, options.seed)
+    noisy = _balancing(rig.replace(sensor_noise=_NOISE), controller, n, options.seed)
     row = Row(
         learner=job.setting,
         training=job.repetition,
         starts=n,
         successes=round(success * n),
         variation=variation,
-        balancing=_balancing(rig, controller, n, options.seed)[0],
-        balancing_noisy=noisy,
-        standing_noisy=standing,
+        balanced=perfect.successes,
+        balanced_noisy=noisy.successes,
+        balancing=perfect.variation,
+        balancing_noisy=noisy.variation,
+        standing_noisy=noisy.standing,
         steps=curve[-1].steps,
         steps_to_best=best,
         steps_to_half=next((seen.steps for seen in curve if seen.success >= 0.5), -1),
@@ -176,18 +184,26 @@ def run(job: Job, options: Options) -> Result:
 _GENTLE = dpend.Balance(lam=0.1)
 
 
+class _Balanced(NamedTuple):
+    """What balancing from λ = 0.1 took: runs that succeed, and their mean variation, of all and of the last four s."""
+
+    successes: int
+    variation: float
+    standing: float
+
+
 def _starts(rig: dpend.Rig, n: int, seed: int) -> Array:
-    return _GENTLE.starts(np.random.default_rng([_STREAM, seed, 1]), min(n, 200), rig)
+    return _GENTLE.starts(np.random.default_rng([_STREAM, seed, 1]), n, rig)
 
 
-def _balancing(rig: dpend.Rig, controller: dpend.Controller, n: int, seed: int) -> tuple[float, float]:
-    """Give the mean variation of the force while balancing, over the runs that succeed: of all, of the last four s."""
+def _balancing(rig: dpend.Rig, controller: dpend.Controller, n: int, seed: int) -> _Balanced:
     runs = dpend.simulate_many(rig, controller, _starts(rig, n, seed), task=_GENTLE, seed=seed)
     if not runs.success.any():
-        return math.nan, math.nan
+        return _Balanced(0, math.nan, math.nan)
     last = runs.u[runs.success, -round(4.0 / rig.sample_time) :]
     of_last = force_metrics(last, rig.sample_time, rig.force_limit)["variation"]
-    return float(runs.metrics()["variation"][runs.success].mean()), float(of_last.mean())
+    variation = runs.metrics()["variation"][runs.success]
+    return _Balanced(int(runs.success.sum()), float(variation.mean()), float(of_last.mean()))
 
 
 def least_variation(rig: dpend.Rig, x0: Array) -> float:
@@ -277,18 +293,18 @@ def _median(traces: list[dict[str, Array]]) -> tuple[Array, Array]:
 def summary(rows: list[Row], traces: Traces) -> RenderableType:
     """Condense the table: success with its interval, by learner, and what learning cost."""
     table = Table(
-        title="Fresh starts that succeed, %, and 95 % interval over trainings; beside, medians over trainings: "
-        "variation of the force in force limits per second, steps to 95 % (of how many), steps, processor time"
+        title="Fresh starts that succeed, %, and 95 % interval over trainings; medians over trainings of: balanced "
+        "starts at λ = 0.1, %, with perfect sensors and with noise; variation of the force in force limits per second "
+        "(last 4 s of swing-ups, balancing, balancing with noise, standing with noise); "
+        "steps to 95 % (of how many), steps, processor time"
     )
     for heading in (
         "learner",
         "trainings",
         "success",
         "each",
-        "last 4 s",
-        "balancing",
-        "noisy",
-        "standing",
+        "λ = .1",
+        "variation",
         "to 95 %",
         "steps",
         "CPU s",
@@ -305,11 +321,15 @@ def summary(rows: list[Row], traces: Traces) -> RenderableType:
                 (
                     f"{100 * rate.share:.1f}\n\\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]",
                     " ".join(f"{100 * row.successes / row.starts:.1f}" for row in own),
+                    "\n".join(
+                        f"{100 * np.median([getattr(row, name) for row in own]) / own[0].starts:.1f}"
+                        for name in ("balanced", "balanced_noisy")
+                    ),
                 )
                 if learner != _LEAST
-                else ("-", "-")
+                else ("-", "-", "-")
             ),
-            *(_middle([getattr(row, name) for row in own]) for name in _VARIATIONS),
+            "\n".join(_middle([getattr(row, name) for row in own]) for name in _VARIATIONS),
             f"{np.median(reached):,.0f} ({len(reached)})" if reached else "-",
             f"{np.median([row.steps for row in own]):,.0f}",
             f"{np.median([row.cpu_seconds for row in own]):.0f}",

@@ -203,7 +203,7 @@ def trainings(runs: Path) -> list[Training]:
         recipe = json.loads((policy.parent / "recipe.json").read_text(encoding="utf-8"))["recipe"]
         if recipe["env"] or recipe["task"] != "swing-up" or recipe["rig"] != RIG.to_dict():
             continue
-        means = {"CAPS": recipe["caps"][0], "action rate": recipe["action_rate"]}
+        means = {"CAPS": max(recipe["caps"][:2]), "action rate": recipe["action_rate"]}
         means["noise"] = recipe.get("sensor_noise", 0.0)
         used = {name: weight for name, weight in means.items() if weight}
         device, strength = ", ".join(used) or "plain", next(iter(used.values()), 0.0)
@@ -553,7 +553,8 @@ def _learned(rows: list[Row]) -> list[tuple[str, list[Row]]]:
     trained = [row for row in found(rows, "variation", task="swing-up") if row.device not in ("none", *DEVICES)]
     for name in dict.fromkeys(row.controller for row in trained):
         own = [row for row in trained if row.controller == name]
-        groups.append((f"{name.replace('-swing-up', '')}\n{own[0].device}\nswing-up", own))
+        device = own[0].device.replace(", ", ",\n")
+        groups.append((f"{name.replace('-swing-up', '')}\n{device}\nswing-up", own))
     for name in () if trained else ("PPO swing-up", "PPO swing-up, smooth"):
         groups.append((name.replace(" ", "\n"), found(rows, "variation", controller=name, task="swing-up")))
     return [(words, own) for words, own in groups if own]
