@@ -105,7 +105,7 @@ class DeepRecipe:
         Where episodes of the swing-up begin: hanging, level to the side, near upright or anywhere, each equally often;
         or at rest alone, hanging or level to the side.
     near : float
-        Greatest angle of those near upright, rad.
+        Greatest angle of those near upright, rad; for mixed starts of the swing-up alone.
     steps : int
         Environment steps in all copies together.
     copies : int
@@ -263,6 +263,10 @@ class DeepRecipe:
             raise ValueError("first_actions is for DDPG, TD3 and SAC; got algo 'ppo'. Use noise.")
         if self.mirror and self.algo == "ppo":
             raise ValueError("mirror is for DDPG, TD3 and SAC, which learn from what they keep; got algo 'ppo'.")
+        if self.near != type(self).near and (self.env or self.task != "swing-up" or self.starts != "mixed"):
+            raise ValueError(
+                f"near is for mixed starts of the swing-up; got {self.starts!r} of {self.env or self.task!r}."
+            )
         for name in ("episode", "action_rate", "sensor_noise", "mirror"):
             if self.env and getattr(self, name):
                 raise ValueError(f"{name} is for our own plant; got env {self.env!r}.")

@@ -19,6 +19,7 @@ import optax
 import sbx
 from flax import serialization
 from flax.training.train_state import TrainState
+from sbx.common.off_policy_algorithm import OffPolicyAlgorithmJax
 
 from . import sb3
 from .policies import Network
@@ -34,13 +35,13 @@ def _states(model: Any) -> dict[str, Any]:
     return states
 
 
-class _Falling:
+class _Falling(OffPolicyAlgorithmJax):
     """Gives everything that learns the rate of now; DDPG, TD3 and the entropy weight of SAC keep the first else."""
 
-    def train(self: Any, gradient_steps: int, batch_size: int) -> None:
+    def train(self, gradient_steps: int, batch_size: int) -> None:
         rate = self.lr_schedule(self._current_progress_remaining)
         self._update_learning_rate([state.opt_state for state in _states(self).values()], rate)
-        super().train(gradient_steps, batch_size)  # type: ignore[misc]
+        super().train(gradient_steps, batch_size)
 
 
 class _DDPG(_Falling, sbx.DDPG): ...

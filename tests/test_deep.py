@@ -109,6 +109,8 @@ def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_bala
         ({"episode": -1.0}, "episode must be at least 0; got -1.0."),
         ({"target_kl": -0.01}, "target_kl must be at least 0; got -0.01."),
         ({"algo": "sac", "target_kl": 0.02}, "target_kl is for PPO; got algo 'sac'."),
+        ({"near": 0.2, "starts": "rest"}, "near is for mixed starts of the swing-up; got 'rest' of 'swing-up'."),
+        ({"near": 0.2, "task": "balance"}, "near is for mixed starts of the swing-up; got 'mixed' of 'balance'."),
         ({"near": 0.0}, "near must be above 0, at most π/2; got 0.0."),
         ({"library": "tensorflow"}, "There is no library 'tensorflow'. Known: jax, torch."),
         ({"library": "jax"}, "library 'jax' is for DDPG, TD3 and SAC; got algo 'ppo'. Use library 'torch'."),
