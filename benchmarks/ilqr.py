@@ -28,7 +28,7 @@ def main() -> None:
     dpend.simulate(rig, controller, dpend.EQUILIBRIA["down-down"], 1.0, task=None)  # compiles
     table = Table("", "median ms", "p99 ms", "max ms", title=f"N = {controller.horizon}, {RUNS} runs of 6 s a start")
     for start in ("hanging", "side"):
-        task = dpend.SwingUp(start=start, spread=0.1, steps=300)
+        task = dpend.SwingUp(start=start, angle_spread=0.1, steps=300)
         runs = dpend.simulate_many(rig, controller, task.starts(np.random.default_rng(0), RUNS, rig), task=task)
         steps = runs.step_time[:, 1:]
         swinging = runs.t[1:-1] < np.where(runs.success, runs.time_up, np.inf)[:, None]

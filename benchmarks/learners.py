@@ -39,7 +39,7 @@ def step_in_python() -> int:
 
 
 def best(work: Callable[[], int]) -> float:
-    """Give the steps per second of one call."""
+    """Return the steps per second of one call."""
     began = time.perf_counter()
     steps = work()
     return steps / (time.perf_counter() - began)

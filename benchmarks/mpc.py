@@ -52,24 +52,24 @@ _positions = make_positions(casadi.sin, casadi.cos)
 
 
 def setpoint(t: float) -> float:
-    """Give where the cart is to be, m; a plan takes it as constant over its horizon."""
+    """Return where the cart is to be, m; a plan takes it as constant over its horizon."""
     return -0.8 if t // RIG.sample_time <= SWITCH // RIG.sample_time else 0.8
 
 
 def stage_cost(x: Any, target: Any) -> Any:
-    r"""Give :math:`-V + 10\,(p - p^*)^2`."""
+    r"""Return :math:`-V + 10\,(p - p^*)^2`."""
     return TRACKING * (x[0] - target) ** 2 - _energies(x, RIG.params.coefficients())[1]
 
 
 def final_cost(x: Any) -> Any:
-    r"""Give :math:`T - V` with the example's slip: the second link's inertia is met with the first link's rate."""
+    r"""Return :math:`T - V` with the example's slip: the second link's inertia is met with the first link's rate."""
     kinetic, potential = _energies(x, RIG.params.coefficients())
     inertia = RIG.params.mass2 * RIG.params.length2**2 / 12
     return kinetic + 0.5 * inertia * (x[4] ** 2 - x[5] ** 2) - potential
 
 
 def distances(x: Any) -> Any:
-    """Give the distances of the cart and the tips of both links from the obstacle, m."""
+    """Return the distances of the cart and the tips of both links from the obstacle, m."""
     x_joint, y_joint, x_tip, y_tip = _positions(x, RIG.params.coefficients())
     at_x, at_y, radius = OBSTACLE
     points = ((x[0], 0.0), (x_joint, y_joint), (x_tip, y_tip))
@@ -77,7 +77,7 @@ def distances(x: Any) -> Any:
 
 
 def ours() -> tuple[Law, str]:
-    """Give the law on this project's multiple shooting; the force before is part of the state, as its change costs."""
+    """Return law on this project's multiple shooting; the force before is part of the state, as its change costs."""
     x, u, p = casadi.SX.sym("x", 7), casadi.SX.sym("u"), casadi.SX.sym("p")
     plant = substep_function(PLANNED)
     state = casadi.vertsplit(x[:6])
@@ -134,7 +134,7 @@ def ours() -> tuple[Law, str]:
 
 
 def theirs() -> Law:
-    """Give the law that do-mpc makes of the same problem with the example's settings."""
+    """Return the law that do-mpc makes of the same problem with the example's settings."""
     import do_mpc
 
     params, gravity = RIG.params, RIG.params.gravity
@@ -235,7 +235,7 @@ def closed_loops(laws: dict[str, Law], steps: int) -> tuple[dict[str, Array], di
 
 
 def quality(x: Array, u: Array) -> tuple[float, float, float]:
-    """Give the loop's cost, when both links were up for good before the set-point's jump, and the clearance."""
+    """Return the loop's cost, when both links were up for good before the set-point's jump, and the clearance."""
     times = RIG.sample_time * np.arange(len(u))
     changes = np.diff(u, prepend=0.0)
     cost = sum(float(stage_cost(row, setpoint(t))) for t, row in zip(times, x[:-1], strict=True))

@@ -18,7 +18,7 @@ CART_JOINT = "slider"
 
 
 def mjcf(params: Params, timestep: float = 0.01) -> str:
-    """Give MJCF text of the plant: a slider, two hinges, inertias as numbers, RK4, nothing to collide with.
+    """Return MJCF text of the plant: a slider, two hinges, inertias as numbers, RK4, nothing to collide with.
 
     Parameters
     ----------
@@ -71,31 +71,31 @@ def mjcf(params: Params, timestep: float = 0.01) -> str:
 
 
 def build(rig: Rig) -> Any:
-    """Give the ``mujoco.MjModel`` of a rig's plant; its timestep is the rig's substep."""
+    """Return the ``mujoco.MjModel`` of a rig's plant; its timestep is the rig's substep."""
     mujoco: Any = import_module("mujoco")  # it has no types, and only those who compare need the extra `peers`
     return mujoco.MjModel.from_xml_string(mjcf(rig.params, rig.sample_time / rig.substeps))
 
 
 def to_mujoco(x: npt.ArrayLike) -> tuple[Array, Array]:
-    """Give MuJoCo's ``qpos`` and ``qvel``, each ``(..., 3)``, for our states ``(..., 6)``."""
+    """Return MuJoCo's ``qpos`` and ``qvel``, each ``(..., 3)``, for our states ``(..., 6)``."""
     x = np.asarray(x, dtype=np.float64)
     return _relative(x[..., :3]), _relative(x[..., 3:])
 
 
 def from_mujoco(qpos: npt.ArrayLike, qvel: npt.ArrayLike) -> Array:
-    """Give our states ``(..., 6)`` for MuJoCo's ``qpos`` and ``qvel``, each ``(..., 3)``."""
+    """Return our states ``(..., 6)`` for MuJoCo's ``qpos`` and ``qvel``, each ``(..., 3)``."""
     return np.concatenate([absolute(qpos), absolute(qvel)], axis=-1)
 
 
 def absolute(q: npt.ArrayLike) -> Array:
-    """Give positions, rates or accelerations ``(..., 3)`` with link 2's angle absolute, for MuJoCo's relative one."""
+    """Return positions, rates or accelerations ``(..., 3)`` with link 2's angle absolute, for MuJoCo's relative one."""
     q = np.array(q, dtype=np.float64)
     q[..., 2] += q[..., 1]
     return q
 
 
 def forces_to_mujoco(f: npt.ArrayLike) -> Array:
-    r"""Give ``qfrc_applied`` ``(..., 3)`` that does the work of our forces ``(..., 3)`` on cart (N) and links (N m).
+    r"""Return ``qfrc_applied`` ``(..., 3)`` that does the work of our forces ``(..., 3)`` on cart (N) and links (N m).
 
     :math:`f_1\,d\theta_1 + f_2\,d\theta_2 = (f_1 + f_2)\,d\varphi_1 + f_2\,d\varphi_2`, with MuJoCo's angles
     :math:`\varphi_1 = \theta_1` and :math:`\varphi_2 = \theta_2 - \theta_1`.
@@ -106,7 +106,7 @@ def forces_to_mujoco(f: npt.ArrayLike) -> Array:
 
 
 def coulomb(params: Params, vel: npt.ArrayLike) -> Array:
-    r"""Give the smooth Coulomb friction on the cart, :math:`-F_c v/\sqrt{v^2 + v_s^2}`, in N."""
+    r"""Return the smooth Coulomb friction on the cart, :math:`-F_c v/\sqrt{v^2 + v_s^2}`, in N."""
     vel = np.asarray(vel, dtype=np.float64)
     return -params.cart_coulomb * vel / np.hypot(vel, params.coulomb_speed)
 

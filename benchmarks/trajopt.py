@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 import dpend
-from controllers import faults, optimize, shipped
+from controllers import optimize, shipped, violations
 from controllers.codegen import find_compiler
 from controllers.trajopt import STARTS, Plugin, _guesses, _program, _solve
 
@@ -27,7 +27,7 @@ TARGET = np.zeros(6)
 
 
 def timed(work: Callable[[], Any]) -> tuple[float, Any]:
-    """Give the seconds that one call took, and what it gave."""
+    """Return the seconds that one call took, and what it gave."""
     began = time.perf_counter()
     result = work()
     return time.perf_counter() - began, result
@@ -75,7 +75,7 @@ def solve_times(solvers: dict[str, Plugin]) -> Table:
 
 def minimum_times() -> Table:
     table = Table(
-        "start", "turns to", "minimum time, s", "iterations", "all, s", "faults", title="Minimum time, |u| <= 40 N"
+        "start", "turns to", "minimum time, s", "iterations", "all, s", "violations", title="Minimum time, |u| <= 40 N"
     )
     for start in ("hanging", "side"):
         stored = shipped(RIG, start)
@@ -83,7 +83,7 @@ def minimum_times() -> Table:
             raise RuntimeError("The stored trajectories are missing; make them with python -m controllers.data.")
         seconds, found = timed(lambda s=start, g=stored: optimize(RIG, s, objective="time", duration=2.0, guess=g))
         turns = f"({found.target[1] / np.pi:.0f} pi, {found.target[2] / np.pi:.0f} pi)"
-        wrong = faults(found, track_margin=0.2) or "none"
+        wrong = violations(found, track_margin=0.2) or "none"
         table.add_row(start, turns, f"{found.duration:.4f}", str(found.about["iterations"]), f"{seconds:.2f}", wrong)
     return table
 

@@ -33,10 +33,10 @@ def stored(rig: Rig, start: str, target: str) -> Trajectory:
 
 
 def rate(rig: Rig, controller: TVLQR, start: str, target: str, s: float, p: float, runs: int = RUNS) -> str:
-    """Give the share of runs that succeed, with its interval, in percent."""
+    """Return the share of runs that succeed, with its interval, in percent."""
     rng = np.random.default_rng(SEED)
     steps = len(controller.trajectory.u) + round(3.0 / rig.sample_time)
-    task = SwingUp(start=start, target=target, spread=s, steps=steps)
+    task = SwingUp(start=start, target=target, angle_spread=s, steps=steps)
     starts = task.starts(rng, runs, rig)
     shares = 1 + p * rng.uniform(-1, 1, (len(FIELDS), runs))
     true = rig.replace(**{name: getattr(rig.params, name) * share for name, share in zip(FIELDS, shares, strict=True)})

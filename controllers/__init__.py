@@ -1,5 +1,7 @@
 """Classical controllers for the inverted double pendulum on a cart."""
 
+from dpend.deprecation import renamed_exports
+
 from .constant import Constant, Zero
 from .data import shipped
 from .energy import EnergyPump, EnergySwingUp
@@ -9,9 +11,9 @@ from .lqr import LQR, BangBang, Margins
 from .nmpc import NMPC
 from .sdre import SDRE
 from .smoothing import LowPass, RateLimit
-from .switching import Ahead, Catch, Ellipsoid, NearEnergy
+from .switching import Ellipsoid, NearEnergy, RolloutRegion, SwitchingController
 from .trajectory import Trajectory
-from .trajopt import NoTrajectory, faults, optimize
+from .trajopt import NoTrajectory, optimize, violations
 from .tvlqr import TVLQR
 
 __all__ = [
@@ -22,9 +24,7 @@ __all__ = [
     "SDRE",
     "TVLQR",
     "UKF",
-    "Ahead",
     "BangBang",
-    "Catch",
     "Constant",
     "Differences",
     "Ellipsoid",
@@ -36,11 +36,17 @@ __all__ = [
     "NoTrajectory",
     "Predictor",
     "RateLimit",
+    "RolloutRegion",
+    "SwitchingController",
     "Trajectory",
     "WithEstimator",
     "Zero",
-    "faults",
     "ilqr",
     "optimize",
     "shipped",
+    "violations",
 ]
+
+__getattr__ = renamed_exports(
+    __name__, {"Ahead": "RolloutRegion", "Catch": "SwitchingController", "faults": "violations"}, globals()
+)

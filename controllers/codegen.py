@@ -44,7 +44,7 @@ class NLPSolver(NamedTuple):
 
 
 def find_compiler() -> str | None:
-    """Give the path of a C compiler, ``$CC`` or else ``cc``, ``gcc`` or ``clang``; None where there is none."""
+    """Return the path of a C compiler, ``$CC`` or else ``cc``, ``gcc`` or ``clang``; None where there is none."""
     if sys.platform == "win32":  # what is found there takes other flags
         return None
     for name in (os.environ.get("CC"), "cc", "gcc", "clang"):
@@ -54,7 +54,7 @@ def find_compiler() -> str | None:
 
 
 def cache_folder() -> Path:
-    """Give the user's own folder for compiled code: ``$DPEND_CACHE``, or ``dpend`` in the system's usual place."""
+    """Return the user's own folder for compiled code: ``$DPEND_CACHE``, or ``dpend`` in the system's usual place."""
     if own := os.environ.get("DPEND_CACHE"):
         return Path(own)
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dpend"
@@ -69,7 +69,7 @@ def nlp_solver(
     compiled: bool = True,
     derivatives: Sequence[Any] = (),
 ) -> NLPSolver:
-    r"""Give a solver of :math:`\min_x f(x, p)` subject to bounds on :math:`x` and on :math:`g(x, p)`.
+    r"""Return a solver of :math:`\min_x f(x, p)` subject to bounds on :math:`x` and on :math:`g(x, p)`.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ _TITLES = {"fatrop": "fatrop", "ipopt": "IPOPT"}
 
 
 def _for_ipopt(ours: Mapping[str, Any]) -> dict[str, Any]:
-    """Give the functions that IPOPT wants otherwise than fatrop: the gradient with f, the Hessian's upper triangle."""
+    """Return functions that IPOPT wants otherwise than fatrop: the gradient with f, the Hessian's upper triangle."""
     hessian = ours["nlp_hess_l"]
     x, p, lam_f, lam_g = (casadi.MX.sym(hessian.name_in(i), hessian.sparsity_in(i)) for i in range(4))
     upper = casadi.triu(hessian(x, p, lam_f, lam_g)[1])
@@ -141,7 +141,7 @@ def _for_ipopt(ours: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _compiled(functions: Sequence[Any], compiler: str) -> Path | None:
-    """Give the shared library of some functions, from the cache if it is there; None if it cannot be made.
+    """Return the shared library of some functions, from the cache if it is there; None if it cannot be made.
 
     Its name is a hash of all that it depends on, and it is put in its place in one move, so that processes that make
     the same one at once do not see each other's halves.

@@ -32,7 +32,7 @@ class Constant:
             raise ValueError(f"force must be finite, in N; got {self.force!r}.")
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         forces = np.full(n, float(self.force))
         return lambda t, y: forces.copy()
 

@@ -1,7 +1,7 @@
 r"""Swing-up by energy: the passivity law of the whole plant, and pumping of the links by the cart's acceleration.
 
 Both steer the energy to that of upright at rest, :math:`E_r = f_1 + f_2`.  That is one number out of six: neither
-steers the state to upright, and what comes near must be caught (:class:`controllers.switching.Catch`).
+steers the state to upright, and what comes near must be caught (:class:`controllers.switching.SwitchingController`).
 """
 
 from __future__ import annotations
@@ -98,13 +98,13 @@ class EnergySwingUp:
         return f"<energy swing-up, {gains}>"
 
     def lyapunov(self, x: npt.ArrayLike) -> Array:
-        r"""Give :math:`V` of states ``(..., 6)``, which no unlimited and unheld force of this law lets rise."""
+        r"""Return :math:`V` of states ``(..., 6)``, which no unlimited and unheld force of this law lets rise."""
         x = np.asarray(x, dtype=np.float64)
         missing = energies(x, self.rig.params).total - self.energy
         return 0.5 * (self.k_energy * missing**2 + self.k_velocity * x[..., 3] ** 2 + self.k_x * x[..., 0] ** 2)
 
     def force(self, x: npt.ArrayLike) -> Array:
-        """Give the law's answer to states ``(..., 6)``, N."""
+        """Return the law's answer to states ``(..., 6)``, N."""
         x = np.asarray(x, dtype=np.float64)
         alpha, beta = _cart_response(x, self.rig)
         missing = energies(x, self.rig.params).total - self.energy
@@ -112,7 +112,7 @@ class EnergySwingUp:
         return -wanted / (self.k_energy * missing + self.k_velocity * beta)
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         return _with_kick(self.force, self.kick, self.rig, self.energy)
 
 
@@ -184,16 +184,16 @@ class EnergyPump:
         return f"<energy pumping, {gains}>"
 
     def links_energy(self, x: npt.ArrayLike) -> Array:
-        """Give the energy of the links seen from the cart, J, of states ``(..., 6)``."""
+        """Return the energy of the links seen from the cart, J, of states ``(..., 6)``."""
         return energies(_moving_at(x, 0.0), self.rig.params).total
 
     def momentum(self, x: npt.ArrayLike) -> Array:
-        r"""Give :math:`\mu`, kg m/s, of states ``(..., 6)``: what the kinetic energy has linear in the cart's speed."""
+        r"""Return :math:`\mu`, kg m/s, of states ``(..., 6)``: kinetic energy linear in the cart's speed."""
         params = self.rig.params
         return 0.5 * (energies(_moving_at(x, 1.0), params).kinetic - energies(_moving_at(x, -1.0), params).kinetic)
 
     def force(self, x: npt.ArrayLike) -> Array:
-        """Give the law's answer to states ``(..., 6)``, N."""
+        """Return the law's answer to states ``(..., 6)``, N."""
         x = np.asarray(x, dtype=np.float64)
         alpha, beta = _cart_response(x, self.rig)
         missing = (self.links_energy(x) - self.energy) / self.energy
@@ -201,25 +201,25 @@ class EnergyPump:
         return (pumping - self.k_x * x[..., 0] - self.k_d * x[..., 3] - alpha) / beta
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         return _with_kick(self.force, self.kick, self.rig, self.energy)
 
 
 def _cart_response(x: Array, rig: Rig) -> tuple[Array, Array]:
-    r"""Give :math:`\alpha`, :math:`\beta` of :math:`\ddot p = \beta F + \alpha`; the plant is affine in the force."""
+    r"""Return :math:`\alpha`, :math:`\beta` of :math:`\ddot p = \beta F + \alpha`; the plant is affine in the force."""
     alpha = rates(x, np.zeros(x.shape[:-1]), rig.params)[..., 3]
     return alpha, rates(x, np.ones(x.shape[:-1]), rig.params)[..., 3] - alpha
 
 
 def _moving_at(x: npt.ArrayLike, speed: float) -> Array:
-    """Give the states with the cart at another speed, the links turning as they do."""
+    """Return the states with the cart at another speed, the links turning as they do."""
     moving = np.array(x, dtype=np.float64)
     moving[..., 3] = speed
     return moving
 
 
 def _with_kick(force: Callable[[Array], Array], kick: float, rig: Rig, energy: float) -> Act:
-    """Give a memoryless law that wakes in its first sample what hangs at rest."""
+    """Return a memoryless law that wakes in its first sample what hangs at rest."""
     began = False
 
     def act(_: float, y: Array) -> Array:
@@ -234,13 +234,13 @@ def _with_kick(force: Callable[[Array], Array], kick: float, rig: Rig, energy: f
 
 
 def _reach(rig: Rig) -> float:
-    """Give how far the cart may go, m: to the track's end, or the length of both links where it has none."""
+    """Return how far the cart may go, m: to the track's end, or the length of both links where it has none."""
     c = rig.params.coefficients()
     return float(rig.track_limit) if math.isfinite(float(rig.track_limit)) else float(c.length1 + c.length2)
 
 
 def _checked_rig(rig: Rig | str, law: str) -> tuple[Rig, float]:
-    """Give the rig, and the energy of upright at rest."""
+    """Return the rig, and the energy of upright at rest."""
     rig = single_rig(rig, law)
     c = rig.params.coefficients()
     energy = float(c.f1 + c.f2)

@@ -30,15 +30,15 @@ class Estimator(Protocol):
     """A description of an estimator, which makes fresh working memory for each run."""
 
     def follow(self, n: int) -> Follow:
-        """Give the estimator for ``n`` runs side by side."""
+        """Return the estimator for ``n`` runs side by side."""
         ...
 
 
 class WithEstimator:
     """A controller that sees estimates instead of measurements.
 
-    It takes the controller's commands for those that reach the rig, so it belongs outermost: around ``Catch``,
-    ``RateLimit`` or ``LowPass``, not inside.
+    It takes the controller's commands for those that reach the rig, so it belongs outermost: around
+    ``SwitchingController``, ``RateLimit`` or ``LowPass``, not inside.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class WithEstimator:
         return f"<{self.name}>"
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         follow = self.estimator.follow(n)
         inner = self.controller.start(n, rng)
         given = np.zeros(n)
@@ -100,7 +100,7 @@ class Differences:
         self.rig = single_rig(rig, "Differences")
 
     def follow(self, n: int) -> Follow:
-        """Give the estimator for ``n`` runs."""
+        """Return the estimator for ``n`` runs."""
         before: Array | None = None
 
         def follow(y: Array, _: Array) -> Array:
@@ -134,7 +134,7 @@ class Predictor:
         self.rig = single_rig(rig, "Predictor")
 
     def follow(self, n: int) -> Follow:
-        """Give the estimator for ``n`` runs."""
+        """Return the estimator for ``n`` runs."""
         under_way = _UnderWay(self.rig, n)
         ahead = Stepper(ideal_rig(self.rig), n)
 
@@ -188,12 +188,12 @@ class _Filter:
         )
 
     def follow(self, n: int) -> Follow:
-        """Give the estimator for ``n`` runs."""
+        """Return the estimator for ``n`` runs."""
         follow, _ = self.follow_closely(n)
         return follow
 
     def follow_closely(self, n: int) -> tuple[Follow, Callable[[], tuple[Array, Array]]]:
-        """Give the estimator for ``n`` runs, and a function that tells what it holds of the moment last measured.
+        """Return the estimator for ``n`` runs, and a function that tells what it holds of the moment last measured.
 
         Returns
         -------
@@ -232,7 +232,7 @@ class _Filter:
         return follow, lambda: (mean.copy(), covariance.copy())
 
     def _move(self, n: int) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
-        """Give what carries means and covariances over one sample under given forces."""
+        """Return what carries means and covariances over one sample under given forces."""
         raise NotImplementedError
 
     def _update(self, mean: Array, covariance: Array, measured: Array) -> tuple[Array, Array]:
@@ -379,11 +379,11 @@ class _UnderWay:
             self._before = self._forces.popleft()
 
     def last_before_measured(self) -> Array:
-        """Give the forces of the sample that ends at the moment measured."""
+        """Return the forces of the sample that ends at the moment measured."""
         return self._before
 
     def since_measured(self) -> list[Array]:
-        """Give the forces from the moment measured to the one when the next command takes effect."""
+        """Return the forces from the moment measured to the one when the next command takes effect."""
         return list(self._forces)
 
 
@@ -399,7 +399,7 @@ def _predict(model: Stepper, x: Array, forces: list[Array]) -> Array:
 
 
 def _root(covariance: Array) -> Array:
-    """Give a matrix whose rows are the half axes of each covariance; one that rounding made negative counts as zero."""
+    """Return matrix whose rows are the half axes of each covariance; one that rounding made negative counts as zero."""
     finite = np.isfinite(covariance).all(axis=(1, 2), keepdims=True)
     squares, axes = np.linalg.eigh(np.where(finite, covariance, np.eye(covariance.shape[-1])))
     root = np.sqrt(np.maximum(squares, 0))[:, :, None] * axes.transpose(0, 2, 1)

@@ -235,7 +235,7 @@ class ILQRMPC:
         self.explore = bool(explore) and not upright_only
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for one run."""
+        """Return the law for one run."""
         if n != 1:
             raise ValueError(f"An iLQR horizon treats one run at a time; got n = {n}.")
         return _Horizon(self._planner, self.iterations, self.starts, self.explore, rng)
@@ -289,7 +289,7 @@ class _Planner:
         self.horizon = checked_whole("horizon", horizon, 2)
         self.upright_only = bool(upright_only)
         self.target = as_equilibrium(target)
-        self.lqr = LQR(rig, self.Q, self.R, about=self.target)
+        self.lqr = LQR(rig, self.Q, self.R, target=self.target)
         self.tail = np.ascontiguousarray(self.lqr.K[0])
         self.P = np.array(self.lqr.P)
         soft_track = float(rig.track_limit) * (1 - 1 / 16)  # 0.15 m of 2.4 m
@@ -323,7 +323,7 @@ class _Planner:
         """Cost of five samples upside down: what is cheaper needs no second thought."""
 
     def about(self, x: Array) -> Problem:
-        """Give the problem near a state: with walls about the target, its turns are those of the state."""
+        """Return the problem near a state: with walls about the target, its turns are those of the state."""
         if not self.upright_only:
             return self.problem
         turns = _TURN * np.rint((x[1:3] - self.target[1:3]) / _TURN)
@@ -331,7 +331,7 @@ class _Planner:
         return self.problem._replace(target=near)
 
     def followed(self, problem: Problem, x0: Array, x: Array, u: Array, K: Array) -> _Plan:
-        """Give the motion from a state under forces and gains."""
+        """Return the motion from a state under forces and gains."""
         new = _Plan(np.empty_like(x), np.empty_like(u), np.zeros_like(K), 0.0, 0, 0, False)
         none = np.zeros_like(u)
         cost = rollout(x0, x, u, K, none, NO_GAPS, 1.0, problem, self.P, new.x, new.u)
@@ -345,21 +345,21 @@ class _Planner:
         return plan._replace(cost=cost, iterations=tried, accepted=accepted, converged=converged)
 
     def regulated(self, problem: Problem, x0: Array) -> _Plan:
-        """Give the motion under the saturated regulator."""
+        """Return the motion under the saturated regulator."""
         near = np.array(nearest_target(tuple(x0), problem))
         N = self.horizon
         gains = np.tile(-self.tail, (N, 1))
         return self.followed(problem, x0, np.tile(near, (N + 1, 1)), np.zeros(N), gains)._replace(K=gains)
 
     def straight(self, problem: Problem, x0: Array) -> _Plan:
-        """Give a straight line of states, which is no motion."""
+        """Return a straight line of states, which is no motion."""
         near = np.array(nearest_target(tuple(x0), problem))
         share = np.linspace(0.0, 1.0, self.horizon + 1)[:, None]
         N = self.horizon
         return _Plan((1 - share) * x0 + share * near, np.zeros(N), np.zeros((N, 6)), math.inf, 0, 0, False)
 
     def kicked(self, problem: Problem, x0: Array, noise: Array) -> _Plan:
-        """Give the motion under random forces."""
+        """Return the motion under random forces."""
         N = self.horizon
         u = np.repeat(self.kick * noise, self.hold)[:N]
         middle = np.zeros((N + 1, 6))
@@ -373,7 +373,7 @@ class _Planner:
     def cold(
         self, x0: Array, starts: int, rng: np.random.Generator, iterations: int, tolerance: float
     ) -> tuple[_Plan, int]:
-        """Give the cheapest plan of several starts, and their number; random ones only if the others are dear."""
+        """Return the cheapest plan of several starts, and their number; random ones only if the others are dear."""
         problem = self.about(x0)
         iterations = min(iterations, _COLD)
         guesses = [self.regulated(problem, x0), self.straight(problem, x0)]
@@ -389,7 +389,7 @@ class _Planner:
     def guessed(
         self, problem: Problem, x0: Array, u_guess: npt.ArrayLike | None, x_guess: npt.ArrayLike | None
     ) -> _Plan:
-        """Give the plan that a caller guesses."""
+        """Return the plan that a caller guesses."""
         N = self.horizon
         u = np.zeros(N) if u_guess is None else np.array(u_guess, dtype=np.float64)
         if u.shape != (N,) or not np.isfinite(u).all():

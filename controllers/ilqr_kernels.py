@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dpend.kernels import acceleration_slopes, ahead, compiled, cos, inline, rates, sample, sin
+from dpend.kernels import acceleration_slopes, axpy, compiled, cos, inline, rates, sample, sin
 from dpend.params import Coefficients
 
 from .residuals import make_residuals
@@ -60,7 +60,7 @@ def _clip(u, limit):
 
 
 def nearest_target(x, p):
-    """Give the target by the whole turns that are nearest to a state."""
+    """Return the target by the whole turns that are nearest to a state."""
     pos, th1, th2, vel, om1, om2 = p.target
     return (
         pos,
@@ -77,13 +77,13 @@ _nearest = inline(nearest_target)
 
 @inline
 def _beyond(value, soft):
-    """Give by how much, with its sign, a value is beyond a bound on either side."""
+    """Return by how much, with its sign, a value is beyond a bound on either side."""
     return max(value - soft, 0.0) + min(value + soft, 0.0)
 
 
 @inline
 def _walls(x, target, p):
-    """Give how far a state is into the walls."""
+    """Return how far a state is into the walls."""
     return (
         _beyond(x[0], p.soft_track),
         _beyond(x[1] - target[1], p.soft_angle),
@@ -122,7 +122,7 @@ def _final_cost(x, P, p):
 
 @compiled
 def cost_of(x, u, p, P):
-    """Give the cost of states and forces, be they a motion or not."""
+    """Return the cost of states and forces, be they a motion or not."""
     cost = 0.0
     for k in range(len(u)):
         cost += _stage_cost(_row(x, k), u[k], p)
@@ -131,7 +131,7 @@ def cost_of(x, u, p, P):
 
 @inline
 def _residual_slopes(x, target):
-    """Give d e_i / d x_i; every residual depends on its own state alone."""
+    """Return d e_i / d x_i; every residual depends on its own state alone."""
     return 1.0, cos(0.5 * (x[1] - target[1])), cos(0.5 * (x[2] - target[2])), 1.0, 1.0, 1.0
 
 
@@ -156,7 +156,7 @@ def _put_slopes(J, stage, j, slopes):
 
 @inline
 def _tangent(J, s, j, z, push):
-    """Give the rates of a small deviation z under a small force, from the slopes at a stage."""
+    """Return the rates of a small deviation z under a small force, from the slopes at a stage."""
     return (
         z[3],
         z[4],
@@ -206,13 +206,13 @@ def linearise(x, u, p, D):
                 x1 = (now[0, j], now[1, j], now[2, j], now[3, j], now[4, j], now[5, j])
                 k1 = rates(x1, f, c)
                 _put_slopes(J, 0, j, acceleration_slopes(x1, k1[3:], c))
-                x2 = ahead(x1, k1, 0.5 * h)
+                x2 = axpy(x1, k1, 0.5 * h)
                 k2 = rates(x2, f, c)
                 _put_slopes(J, 1, j, acceleration_slopes(x2, k2[3:], c))
-                x3 = ahead(x1, k2, 0.5 * h)
+                x3 = axpy(x1, k2, 0.5 * h)
                 k3 = rates(x3, f, c)
                 _put_slopes(J, 2, j, acceleration_slopes(x3, k3[3:], c))
-                x4 = ahead(x1, k3, h)
+                x4 = axpy(x1, k3, h)
                 k4 = rates(x4, f, c)
                 _put_slopes(J, 3, j, acceleration_slopes(x4, k4[3:], c))
                 for i in range(6):
@@ -222,9 +222,9 @@ def linearise(x, u, p, D):
                 for j in range(m):
                     z = (Z[d, 0, j], Z[d, 1, j], Z[d, 2, j], Z[d, 3, j], Z[d, 4, j], Z[d, 5, j])
                     k1 = _tangent(J, 0, j, z, push)
-                    k2 = _tangent(J, 1, j, ahead(z, k1, 0.5 * h), push)
-                    k3 = _tangent(J, 2, j, ahead(z, k2, 0.5 * h), push)
-                    k4 = _tangent(J, 3, j, ahead(z, k3, h), push)
+                    k2 = _tangent(J, 1, j, axpy(z, k1, 0.5 * h), push)
+                    k3 = _tangent(J, 2, j, axpy(z, k2, 0.5 * h), push)
+                    k4 = _tangent(J, 3, j, axpy(z, k3, h), push)
                     for i in range(6):
                         Z[d, i, j] = z[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
         for j in range(m):
@@ -241,7 +241,7 @@ def backward(x, u, p, P, D, damping, du, K):
     r"""Run the Riccati recursion back to front; fill the steps of the forces du (N,) and the gains K (N, 6).
 
     With the columns M = (A, B) of a sample, G = M'SM plus the stage's own curvature, and its last column the gradient.
-    Gives the halved first and second order changes of the cost under the full step, and the greatest halved slope of
+    Returns the halved first and second order changes of the cost under the full step, and the greatest halved slope of
     the cost by any state.
     """
     N = len(u)

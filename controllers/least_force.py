@@ -125,7 +125,7 @@ class LeastForce:
         self.backend = made.backend
 
     def __call__(self, x0: npt.ArrayLike, *, guesses: int = 0, seed: int = 0) -> Trajectory:
-        r"""Give the motion from a state that asks for the least force.
+        r"""Return the motion from a state that asks for the least force.
 
         A start far out is hard to solve from nothing: one in the same direction, but within 0.2 rad, is solved first,
         and its motion, made greater, is the guess.

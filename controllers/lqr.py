@@ -15,6 +15,7 @@ from scipy.optimize import brentq
 
 from dpend.arguments import is_finite
 from dpend.controller import Act, Controller, check_controller, is_batched
+from dpend.deprecation import renamed_arguments
 from dpend.linear import discretize, linearize
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
@@ -50,6 +51,7 @@ class Margins(NamedTuple):
     delay_samples: float
 
 
+@renamed_arguments(about="target")
 class LQR:
     r"""Law :math:`u = -K(x - x^*)`, minimising :math:`\sum_k (x_k - x^*)^\top Q (x_k - x^*) + R u_k^2`.
 
@@ -65,7 +67,7 @@ class LQR:
         State weights, a diagonal ``(6,)`` or a matrix ``(6, 6)``, positive semidefinite; left out, the identity.
     R : float
         Weight of the force, greater than zero.
-    about : str or array_like (6,)
+    target : str or array_like (6,)
         :math:`x^*`: the name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere.
     design : {"discrete", "continuous"}
         ``"continuous"`` minimises :math:`\int x^\top Q x + R u^2\,dt` for a force that may change at any time.  Held
@@ -78,7 +80,7 @@ class LQR:
         Gain.
     P : ndarray (6, 6)
         Solution of the Riccati equation: :math:`(x_0 - x^*)^\top P (x_0 - x^*)` is the cost from :math:`x_0`.
-    about : ndarray (6,)
+    target : ndarray (6,)
         :math:`x^*`.
     poles : ndarray (6,)
         Eigenvalues of the sampled closed loop; inside the unit circle where it is stable.
@@ -86,8 +88,8 @@ class LQR:
     Raises
     ------
     ValueError
-        If the rig describes several plants, a weight has the wrong shape or sign, ``about`` is no equilibrium, or there
-        is no stabilising gain.
+        If the rig describes several plants, a weight has the wrong shape or sign, ``target`` is no equilibrium, or
+        there is no stabilising gain.
 
     Notes
     -----
@@ -102,7 +104,7 @@ class LQR:
         Q: npt.ArrayLike | None = None,
         R: float = 1.0,
         *,
-        about: str | npt.ArrayLike = "up-up",
+        target: str | npt.ArrayLike = "up-up",
         design: Literal["discrete", "continuous"] = "discrete",
     ) -> None:
         self.rig = rig = single_rig(rig, "LQR")
@@ -110,8 +112,8 @@ class LQR:
         if not (is_finite(R) and R > 0):
             raise ValueError(f"R, the weight of the force, must be a finite number greater than 0; got {R!r}.")
         self.R = float(R)
-        self.about = as_equilibrium(about)
-        A, B = self._plant = linearize(rig.params, self.about)
+        self.target = as_equilibrium(target)
+        A, B = self._plant = linearize(rig.params, self.target)
         self._Ad, self._Bd = discretize(A, B, rig.sample_time)
         try:
             if design == "discrete":
@@ -137,7 +139,7 @@ class LQR:
             warnings.warn(
                 f"This continuous-time gain, held over {rig.sample_time:g} s, gives an unstable loop "
                 f'(spectral radius {radius:.3f}); use design="discrete".',
-                stacklevel=2,
+                stacklevel=3,
             )
         for array in (self.Q, self.K, self.P, self.poles):
             array.setflags(write=False)
@@ -146,13 +148,13 @@ class LQR:
         return f"<LQR, K = {np.array2string(self.K[0], precision=4, separator=', ')}>"
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
-        gain, about = self.K[0], self.about
+        """Return the law for ``n`` runs."""
+        gain, target = self.K[0], self.target
         # A matrix product would round a row differently in batches of different size.
-        return lambda t, y: -np.einsum("ij,j->i", deviation(y, about), gain)
+        return lambda t, y: -np.einsum("ij,j->i", deviation(y, target), gain)
 
     def margins(self) -> Margins:
-        """Give the margins of the sampled loop :math:`L(z) = K(zI - A_d)^{-1}B_d`.
+        """Return the margins of the sampled loop :math:`L(z) = K(zI - A_d)^{-1}B_d`.
 
         Raises
         ------
@@ -210,7 +212,7 @@ def _radius(A: npt.NDArray[Any]) -> float:
 
 
 def _first_exit(radius: Callable[[float], float], path: Array, never: float = np.inf) -> float:
-    """Give where, along a path that begins stable, the spectral radius first reaches one."""
+    """Return where, along a path that begins stable, the spectral radius first reaches one."""
     for inside, outside in itertools.pairwise(path):
         if radius(outside) >= 1:
             edge: Any = brentq(lambda point: radius(point) - 1, inside, outside, xtol=1e-12)
@@ -263,7 +265,7 @@ class BangBang:
         self.name = f"sign of {getattr(inner, 'name', type(inner).__name__)}"
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         act = self.inner.start(n, rng)
         force = self.force
         return lambda t, y: force * np.sign(act(t, y))

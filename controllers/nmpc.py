@@ -155,7 +155,7 @@ class NMPC:
             raise ValueError(f'solver must be "auto", "fatrop" or "ipopt"; got {solver!r}.')
         if R is None:
             R = 160 / float(rig.force_limit) ** 2 if math.isfinite(rig.force_limit) else 0.1
-        self.lqr = LQR(rig, (10, 50, 50, 1, 1, 1) if Q is None else Q, R, about=as_equilibrium(target))
+        self.lqr = LQR(rig, (10, 50, 50, 1, 1, 1) if Q is None else Q, R, target=as_equilibrium(target))
         self.rig = rig
         self.cost = cost
         self.solver: Plugin = solver
@@ -189,7 +189,7 @@ class NMPC:
         return f"<{self.name}, {self.samples} samples of {self.rig.sample_time:g} s, solver {self.solver}, {way}>"
 
     def position(self, t: float) -> float:
-        """Give where the cart is to be at a time in s: the target's position and the set-point, m.
+        """Return where the cart is to be at a time in s: the target's position and the set-point, m.
 
         Raises
         ------
@@ -198,15 +198,15 @@ class NMPC:
         """
         setpoint = self.setpoint(t) if callable(self.setpoint) else self.setpoint
         reach = float(self.rig.track_limit) - self.margin
-        if isinstance(setpoint, numbers.Real) and abs(self.lqr.about[0] + float(setpoint)) <= min(reach, 1e9):
-            return float(self.lqr.about[0]) + float(setpoint)
+        if isinstance(setpoint, numbers.Real) and abs(self.lqr.target[0] + float(setpoint)) <= min(reach, 1e9):
+            return float(self.lqr.target[0]) + float(setpoint)
         raise ValueError(
             f"The cart's place, target and setpoint together, must be within {reach:g} m of the middle, the track less "
-            f"the margin; got {self.lqr.about[0]:g} m and setpoint {setpoint!r} at {t:g} s."
+            f"the margin; got {self.lqr.target[0]:g} m and setpoint {setpoint!r} at {t:g} s."
         )
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for one run.
+        """Return the law for one run.
 
         Raises
         ------
@@ -222,7 +222,7 @@ class NMPC:
         params = self.rig.params.to_dict()
         settings = {
             "rig": {"params": params, "sample_time": self.rig.sample_time, "substeps": self.rig.substeps},
-            "about": self.lqr.about.tolist(),
+            "target": self.lqr.target.tolist(),
             "Q": self.lqr.Q.tolist(),
             "R": self.lqr.R,
             "S": self.rate_weight,
@@ -242,7 +242,7 @@ def _checked(name: str, value: object, least: float, most: float) -> float:
 
 
 def _pace(rig: Rig) -> float:
-    """Tell how many times longer than on ``gustafsson2016`` a swing-up takes: slower links, a weaker actuator."""
+    """Return how many times longer than on ``gustafsson2016`` a swing-up takes: slower links, a weaker actuator."""
     c = rig.params.coefficients()
     if not c.f1 > 0:
         return 1.0
@@ -252,7 +252,7 @@ def _pace(rig: Rig) -> float:
 
 
 def _stopping_speed(rig: Rig, margin: float) -> float:
-    r"""Give :math:`v = \sqrt{2\,\tfrac12 a\,m}`: half the acceleration of the actuator stops it within the margin."""
+    r"""Return :math:`v = \sqrt{2\,\tfrac12 a\,m}`: half the acceleration of the actuator stops it within the margin."""
     if not math.isfinite(rig.track_limit):
         return math.inf
     return math.sqrt(float(rig.force_limit) / float(rig.params.coefficients().d1) * margin)
@@ -289,10 +289,10 @@ def _problem(key: str) -> _Problem:
 
 
 def _stage(rig: Rig, settings: dict[str, Any]) -> Stage:
-    """Give one stage: the state, with the force before where its change costs, and all costs as squares."""
+    """Return one stage: the state, with the force before where its change costs, and all costs as squares."""
     Q, R, S = np.array(settings["Q"]), settings["R"], settings["S"]
-    about = np.array(settings["about"])
-    lqr = LQR(rig, Q, R, about=about)
+    target = np.array(settings["target"])
+    lqr = LQR(rig, Q, R, target=target)
     remembers = S > 0
     x, u, p = casadi.SX.sym("x", 6 + remembers), casadi.SX.sym("u"), casadi.SX.sym("p", 3)
     e = casadi.vertcat(*_residuals(casadi.vertsplit(x[:6]), (*casadi.vertsplit(p), 0.0, 0.0, 0.0)))
@@ -300,14 +300,14 @@ def _stage(rig: Rig, settings: dict[str, Any]) -> Stage:
         r, W = casadi.vertcat(e, u), _diagonal(Q, R)
     else:
         energy = energy_function(rig.params)
-        there, hanging = float(energy(about)), float(energy([0, math.pi, math.pi, 0, 0, 0]))
+        there, hanging = float(energy(target)), float(energy([0, math.pi, math.pi, 0, 0, 0]))
         reference = max(there - hanging, 0.5 * abs(hanging), 1e-9)
         r = casadi.vertcat(e[0], e[3], (energy(x[:6]) - there) / reference, u)
         W = np.diag([Q[0, 0], Q[3, 3], settings["energy_weight"], R])
     step, last, P = substep_function(rig), e, lqr.P
     if remembers:
         r, W, last = casadi.vertcat(r, u - x[6]), _diagonal(W, S), casadi.vertcat(e, x[6])
-        P = _cost_with_rate(rig, about, Q, R, S)
+        P = _cost_with_rate(rig, target, Q, R, S)
         step = casadi.Function("substep", [x, u], [casadi.vertcat(step(x[:6], u), u)])
     far = 4 * float(Q[1, 1] + Q[2, 2]) or 1.0
     scale = _FAR_COST / (settings["samples"] * far)
@@ -327,7 +327,7 @@ def _stage(rig: Rig, settings: dict[str, Any]) -> Stage:
 
 
 def _diagonal(first: Array, second: float) -> Array:
-    """Give a block-diagonal matrix of a matrix and a number."""
+    """Return a block-diagonal matrix of a matrix and a number."""
     n = len(first)
     whole = np.zeros((n + 1, n + 1))
     whole[:n, :n] = first
@@ -335,9 +335,9 @@ def _diagonal(first: Array, second: float) -> Array:
     return whole
 
 
-def _cost_with_rate(rig: Rig, about: Array, Q: Array, R: float, S: float) -> Array:
-    r"""Give the Riccati solution for states :math:`(x, u_{-1})` and costs with :math:`S (u - u_{-1})^2`."""
-    Ad, Bd = discretize(*linearize(rig.params, about), rig.sample_time)
+def _cost_with_rate(rig: Rig, target: Array, Q: Array, R: float, S: float) -> Array:
+    r"""Return the Riccati solution for states :math:`(x, u_{-1})` and costs with :math:`S (u - u_{-1})^2`."""
+    Ad, Bd = discretize(*linearize(rig.params, target), rig.sample_time)
     cross = np.zeros((7, 1))
     cross[6] = -S
     _, P, _ = control.dlqr(_diagonal(Ad, 0.0), np.vstack([Bd, [[1.0]]]), _diagonal(Q, S), R + S, cross)
@@ -352,7 +352,7 @@ class _Planner:
         self._position, self._looks = controller.position, callable(controller.setpoint)
         self._problem = problem
         self._program = program = problem.program
-        self._about = controller.lqr.about
+        self._target = controller.lqr.target
         self._gain = controller.lqr.K[0]
         self._T = controller.rig.sample_time
         self._force = float(controller.rig.force_limit)
@@ -373,7 +373,7 @@ class _Planner:
     def __call__(self, t: float, y: Array) -> Array:
         measured = y[0]
         if not np.isfinite(measured).all():  # as planned, or where nothing is planned yet, as wished
-            measured = self._about if self._plan is None else self._plan[0][1, :6]
+            measured = self._target if self._plan is None else self._plan[0][1, :6]
         x = self._with_force(measured, self._u)
         if self._plan is None:
             self._plan, status, iterations, seconds = self._first_plan(t, x)
@@ -391,19 +391,19 @@ class _Planner:
         return np.array([self._u])
 
     def _with_force(self, x: Array, u: float) -> Array:
-        """Give the state as the program has it: with the last force if changes of force cost."""
+        """Return the state as the program has it: with the last force if changes of force cost."""
         return np.append(x, u)[: self._program.nx]
 
     def _goals(self, t: float, end: Array) -> Array:
-        """Give position and angles to reach at each stage ``(N + 1, 3)``, by the turn nearest to the plan's end."""
+        """Return position and angles to reach at each stage ``(N + 1, 3)``, by the turn nearest to the plan's end."""
         N = self._program.horizon
         goals = np.empty((N + 1, 3))
         goals[:, 0] = [self._position(t + k * self._T) for k in range(N + 1)] if self._looks else self._position(t)
-        goals[:, 1:] = self._about[1:3] + _TURN * np.rint((end[1:3] - self._about[1:3]) / _TURN)
+        goals[:, 1:] = self._target[1:3] + _TURN * np.rint((end[1:3] - self._target[1:3]) / _TURN)
         return goals
 
     def _solve(self, solver: NLPSolver, t: float, x: Array, guess: Plan) -> tuple[Plan, PlanStatus, int, float, float]:
-        """Give the plan from a state, its status, the iterations and seconds it took, and its cost."""
+        """Return the plan from a state, its status, the iterations and seconds it took, and its cost."""
         program, (xs, us) = self._program, guess
         xs = np.vstack([x, xs[1:]])
         nx = program.nx
@@ -426,7 +426,7 @@ class _Planner:
         return plan, status, int(stats["iter_count"]), seconds, float(found["f"])
 
     def _moved_on(self, t: float, plan: Plan) -> Plan:
-        """Give the plan one sample later; what is missing at its end is the LQR's."""
+        """Return the plan one sample later; what is missing at its end is the LQR's."""
         xs, us = plan
         last = xs[-1]
         u = float(np.clip(self._feedback(t + len(us) * self._T, last), -self._force, self._force))
@@ -436,12 +436,12 @@ class _Planner:
         return self._with_force(self._problem.sample(x[:6], u).full().ravel(), u)
 
     def _feedback(self, t: float, x: Array) -> float:
-        about = self._about.copy()
-        about[0] = self._position(t)
-        return -float(self._gain @ deviation(x[:6], about))
+        target = self._target.copy()
+        target[0] = self._position(t)
+        return -float(self._gain @ deviation(x[:6], target))
 
     def _first_plan(self, t: float, x: Array) -> tuple[Plan, PlanStatus, int, float]:
-        """Give the cheapest plan of the first kind of guesses that arrives, and the sums of what all took."""
+        """Return the cheapest plan of the first kind of guesses that arrives, and the sums of what all took."""
         found: list[tuple[bool, float, int, Plan, PlanStatus]] = []
         iterations, seconds, arrived = 0, 0.0, False
         for guesses in (self._regulated, self._straight, self._swinging):
@@ -458,8 +458,8 @@ class _Planner:
         return plan, status, iterations, seconds
 
     def _near(self, x: Array, angle: float) -> bool:
-        """Tell whether both links are within an angle of the target's."""
-        return bool(np.abs(deviation(x[:6], self._about)[1:3]).max() < angle)
+        """Return whether both links are within an angle of the target's."""
+        return bool(np.abs(deviation(x[:6], self._target)[1:3]).max() < angle)
 
     def _regulated(self, t: float, x: Array) -> Iterator[Plan]:
         """Guess the LQR's motion, where the links are on the target's side."""
@@ -469,7 +469,7 @@ class _Planner:
     def _straight(self, t: float, x: Array) -> Iterator[Plan]:
         """Guess straight lines to the nearest two turns of each link."""
         N = self._program.horizon
-        off = deviation(x[:6], self._about)[1:3]
+        off = deviation(x[:6], self._target)[1:3]
         other = np.where(off > 0, _TURN, -_TURN)  # to the turn on the far side
         for turns in ((0, 0), (0, 1), (1, 0), (1, 1)):
             goal = np.zeros(self._program.nx)

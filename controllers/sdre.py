@@ -19,7 +19,7 @@ _STEP = 1e-30  # of the complex step, which has no cancellation
 
 
 def factorize(params: Params, x: npt.ArrayLike) -> tuple[Array, Array]:
-    r"""Give :math:`A(x)` and :math:`B(x)` with :math:`\dot x = A(x)\,x + B(x)\,u`, exactly.
+    r"""Return :math:`A(x)` and :math:`B(x)` with :math:`\dot x = A(x)\,x + B(x)\,u`, exactly.
 
     Of the many such factorisations this is the usual one of mechanics, from
     :math:`D\ddot q + C\dot q + G = f`: the gravity torque of each link is a number times its own angle, as in
@@ -194,7 +194,7 @@ class SDRE:
         return f"<SDRE, upright K = {np.array2string(self.lqr.K[0], precision=4, separator=', ')}>"
 
     def gains(self, x: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Give the gains ``(n, 6)`` in states ``(n, 6)``, and where one was found."""
+        """Return the gains ``(n, 6)`` in states ``(n, 6)``, and where one was found."""
         A, B = factorize(self.rig.params, nearest_upright(x))
         A, B = _held(A, B, self.rig.sample_time)
         P, found = solve_riccati(A, B, self.lqr.Q, self.lqr.R)
@@ -204,7 +204,7 @@ class SDRE:
         return K, found
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         gains = np.tile(self.lqr.K[0], (n, 1))
         told: list[Array] = []
 

@@ -78,23 +78,23 @@ class Program:
     nh: int
 
     def pack(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Give states ``(N + 1, nx)`` and inputs ``(N, nu)`` as one vector."""
+        """Return states ``(N + 1, nx)`` and inputs ``(N, nu)`` as one vector."""
         return np.concatenate([np.hstack([x[:-1], u]).ravel(), x[-1]])
 
     def unpack(self, w: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Give states ``(N + 1, nx)`` and inputs ``(N, nu)`` of a vector."""
+        """Return states ``(N + 1, nx)`` and inputs ``(N, nu)`` of a vector."""
         w = np.asarray(w, dtype=np.float64).ravel()
         stages = w[: -self.nx].reshape(self.horizon, self.nx + self.nu)
         return np.vstack([stages[:, : self.nx], w[-self.nx :]]), stages[:, self.nx :].copy()
 
     def constraints(self, gaps: float, path: float) -> np.ndarray:
-        """Give a vector of the constraints' size, one number for the gaps and one for the path constraints."""
+        """Return a vector of the constraints' size, one number for the gaps and one for the path constraints."""
         stage = np.concatenate([np.full(self.nx, gaps), np.full(self.nh, path)])
         return np.concatenate([np.tile(stage, self.horizon), np.full(self.nh, path)])
 
 
 def multiple_shooting(stage: Stage, horizon: int) -> Program:
-    """Give the nonlinear program of ``horizon`` equal stages.
+    """Return the nonlinear program of ``horizon`` equal stages.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def _jacobian_sparsity(N: int, nx: int, nu: int, nh: int) -> Any:
 
 
 def _sample(step: Any, steps: int, nx: int, nu: int, second_order: bool) -> tuple[Any, Any, Any]:
-    r"""Give a sample of several steps, with its Jacobian, and with its second derivatives along a multiplier.
+    r"""Return a sample of several steps, with its Jacobian, and with its second derivatives along a multiplier.
 
     With :math:`T_i` the derivative of :math:`(x_i, u)` by :math:`(x_0, u)` and :math:`\lambda_i` the multiplier pulled
     back from the end, the second derivative of :math:`\lambda^\top F` is

@@ -53,7 +53,7 @@ class RateLimit:
         self.name = f"{_name(inner)}, at most {self.rate:g} N/s"
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         inner = self.inner.start(n, rng)
         limit = self.rig.force_limit
         most = self.rate * self.rig.sample_time
@@ -126,7 +126,7 @@ class LowPass:
         self.name = f"{_name(inner)}, low-pass {1 / (2 * math.pi * self.time_constant):.3g} Hz"
 
     def response(self, frequency: float) -> complex:
-        r"""Give :math:`H = (1 - q)/(1 - q\,e^{-j\omega T})`: what becomes of a sine of the inner force.
+        r"""Return :math:`H = (1 - q)/(1 - q\,e^{-j\omega T})`: what becomes of a sine of the inner force.
 
         Parameters
         ----------
@@ -141,7 +141,7 @@ class LowPass:
         return (1 - self._rest) / (1 - self._rest * cmath.exp(-2j * math.pi * frequency * self.rig.sample_time))
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         inner = self.inner.start(n, rng)
         limit = self.rig.force_limit
         rest = self._rest

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from dpend.arguments import is_finite
 from dpend.controller import Act, Controller, check_controller, is_batched
+from dpend.deprecation import renamed_arguments
 from dpend.params import Array
 from dpend.plant import energies
 from dpend.rig import Rig, as_rig, single_rig
@@ -28,7 +29,7 @@ class Ellipsoid:
     Parameters
     ----------
     lqr : LQR
-        Gives :math:`P` and :math:`x^*`.
+        Returns :math:`P` and :math:`x^*`.
     level : float
         :math:`c`, greater than zero.
 
@@ -48,12 +49,12 @@ class Ellipsoid:
         return f"<region x'Px <= {self.level:.4g}>"
 
     def __call__(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Tell which states ``(n, 6)`` lie inside."""
+        """Return which states ``(n, 6)`` lie inside."""
         return self.cost(x) <= self.level
 
     def cost(self, x: npt.ArrayLike) -> Array:
-        r"""Give :math:`(x - x^*)^\top P\,(x - x^*)` of states ``(n, 6)``."""
-        from_target = deviation(x, self.lqr.about)
+        r"""Return :math:`(x - x^*)^\top P\,(x - x^*)` of states ``(n, 6)``."""
+        from_target = deviation(x, self.lqr.target)
         return np.einsum("ni,ij,nj->n", from_target, self.lqr.P, from_target)
 
     def boundary(self, n: int, rng: np.random.Generator) -> Array:
@@ -61,11 +62,11 @@ class Ellipsoid:
         sphere = rng.standard_normal((n, 6))
         sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
         half = np.linalg.cholesky(np.linalg.inv(self.lqr.P))
-        return self.lqr.about + math.sqrt(self.level) * sphere @ half.T
+        return self.lqr.target + math.sqrt(self.level) * sphere @ half.T
 
     @classmethod
     def within_limits(cls, lqr: LQR) -> Ellipsoid:
-        r"""Give the greatest on which no limit of the rig is met by the *linear* loop.
+        r"""Return the greatest on which no limit of the rig is met by the *linear* loop.
 
         :math:`|Kx| \le u_\max` holds on :math:`x^\top P x \le u_\max^2 / (K P^{-1} K^\top)`, and the track's limit
         bounds the level likewise.  For the plant made linear that is invariant, and so a region of attraction; it knows
@@ -87,14 +88,14 @@ class Ellipsoid:
         """
         inverse = np.linalg.inv(lqr.P)
         force = float(lqr.rig.force_limit) ** 2 / float((lqr.K @ inverse @ lqr.K.T)[0, 0])
-        track = max(float(lqr.rig.track_limit) - abs(float(lqr.about[0])), 1e-9) ** 2 / float(inverse[0, 0])
+        track = max(float(lqr.rig.track_limit) - abs(float(lqr.target[0])), 1e-9) ** 2 / float(inverse[0, 0])
         if not math.isfinite(min(force, track)):
             raise ValueError("The rig limits neither force nor track, so the linear loop is stable everywhere.")
         return cls(lqr, min(force, track))
 
     @classmethod
     def calibrated(cls, lqr: LQR, *, starts: int = 1000, seed: int = 0, duration: float | None = None) -> Ellipsoid:
-        """Give the greatest, to 2 %, from whose boundary the simulated, limited loop comes to rest from every start.
+        """Return the greatest, to 2 %, from whose boundary the simulated, limited loop comes to rest from every start.
 
         The level is found by bisection over one set of directions, below that of :meth:`within_limits`.  It is an
         estimate and no proof: if none of n independent starts fails, then with 95 % confidence fewer than a share of
@@ -109,7 +110,7 @@ class Ellipsoid:
         seed : int
             What they are drawn from.
         duration : float, optional
-            Seconds until rest; see :class:`Ahead`.
+            Seconds until rest; see :class:`RolloutRegion`.
 
         Returns
         -------
@@ -120,7 +121,7 @@ class Ellipsoid:
         ValueError
             If even a very small ellipsoid loses a start.
         """
-        rests = Ahead(lqr.rig, lqr, about=lqr.about, duration=duration)
+        rests = RolloutRegion(lqr.rig, lqr, target=lqr.target, duration=duration)
 
         def all_rest(level: float) -> bool:
             return bool(rests(cls(lqr, level).boundary(starts, np.random.default_rng(seed))).all())
@@ -140,7 +141,8 @@ class Ellipsoid:
         return cls(lqr, low)
 
 
-class Ahead:
+@renamed_arguments(about="target", law="controller")
+class RolloutRegion:
     """The states from which a law, simulated ahead on the rig as it is believed to be, comes to rest on the track.
 
     That is the region of attraction itself as far as the model knows it, force and track limits included, at the price
@@ -151,9 +153,9 @@ class Ahead:
     ----------
     rig : Rig or str
         What is believed.  Delays, lag, noise and rounding are left out: the states asked about are estimates already.
-    law : Controller
+    controller : Controller
         A batched law, started afresh for each question.
-    about : str or array_like (6,)
+    target : str or array_like (6,)
         The equilibrium at which it must arrive.
     duration : float, optional
         Seconds simulated; left out, eight times the square root of the links' length over gravity.
@@ -163,7 +165,7 @@ class Ahead:
     Raises
     ------
     TypeError
-        If ``law`` is no controller.
+        If ``controller`` is no controller.
     ValueError
         If it is not batched, the rig describes several plants, or a number is not greater than zero.
     """
@@ -171,16 +173,16 @@ class Ahead:
     def __init__(
         self,
         rig: Rig | str,
-        law: Controller,
+        controller: Controller,
         *,
-        about: str | npt.ArrayLike = "up-up",
+        target: str | npt.ArrayLike = "up-up",
         duration: float | None = None,
         within: float = 0.2,
     ) -> None:
-        rig = single_rig(rig, "Ahead")
-        check_controller(law)
-        if not is_batched(law):
-            raise ValueError(f"{_name(law)} treats one run at a time; looking ahead takes a batched law.")
+        rig = single_rig(rig, "RolloutRegion")
+        check_controller(controller)
+        if not is_batched(controller):
+            raise ValueError(f"{_name(controller)} treats one run at a time; looking ahead takes a batched law.")
         if duration is None:
             c = rig.params.coefficients()
             duration = 8 * math.sqrt(float(c.length1 + c.length2) / max(float(rig.params.gravity), 1.0))
@@ -189,23 +191,23 @@ class Ahead:
         self.rig = rig.replace(
             actuator_lag=0.0, actuator_delay=0, force_noise=0.0, sensor_delay=0, sensor_noise=0.0, resolution=0.0
         )
-        self.law = law
-        self.about = as_equilibrium(about)
+        self.controller = controller
+        self.target = as_equilibrium(target)
         self.duration = float(duration)
         self.within = float(within)
 
     def __repr__(self) -> str:
-        return f"<region from which {_name(self.law)} is seen to come to rest in {self.duration:.3g} s>"
+        return f"<region from which {_name(self.controller)} is seen to come to rest in {self.duration:.3g} s>"
 
     def __call__(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Tell from which states ``(n, 6)`` the law comes to rest."""
+        """Return from which states ``(n, 6)`` the law comes to rest."""
         rests = np.zeros(len(x), dtype=np.bool_)
         rows = np.flatnonzero(~self.fallen(x) & (np.abs(x[:, 0]) <= self.rig.track_limit))
         if not len(rows):
             return rests
         stepper = Stepper(self.rig, len(rows))
         y = stepper.reset(x[rows])
-        act = self.law.start(len(rows), np.random.default_rng(0))
+        act = self.controller.start(len(rows), np.random.default_rng(0))
         samples = max(1, round(self.duration / self.rig.sample_time))
         alive = np.ones(len(rows), dtype=np.bool_)
         for k in range(samples):
@@ -215,13 +217,13 @@ class Ahead:
             if not alive.all():
                 if not alive.any():
                     return rests
-                y[~alive] = stepper.reset(self.about, ~alive)  # parked, where it disturbs nobody
+                y[~alive] = stepper.reset(self.target, ~alive)  # parked, where it disturbs nobody
         rests[rows] = alive
         return rests
 
     def fallen(self, x: Array, angle: float = 0.5 * np.pi) -> npt.NDArray[np.bool_]:
-        """Tell which states ``(n, 6)`` have a link further than an angle from the target's, level by default."""
-        return ~(np.abs(deviation(x, self.about)[:, 1:3]).max(axis=1) <= angle)
+        """Return which states ``(n, 6)`` have a link further than an angle from the target's, level by default."""
+        return ~(np.abs(deviation(x, self.target)[:, 1:3]).max(axis=1) <= angle)
 
 
 class NearEnergy:
@@ -259,17 +261,18 @@ class NearEnergy:
         return f"<region |E - Er| <= {self.tolerance:g} Er>"
 
     def __call__(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Tell which states ``(n, 6)`` lie inside."""
+        """Return which states ``(n, 6)`` lie inside."""
         near = np.abs(energies(x, self.rig.params).total - self.energy) <= self.tolerance * self.energy
         return near & (np.abs(x[:, 0]) <= self.track_share * self.rig.track_limit)
 
 
-class Catch:
+class SwitchingController:
     r"""Law ``first`` until the state is in a region, then law ``then``; back again where the state is lost.
 
-    Two laws may be three: ``Catch(rig, Catch(rig, EnergyPump(rig), planner), LQR(rig))`` pumps energy, plans the last
-    swing, and balances.  A batched law runs along from the start in every row and is heard where it is in charge; one
-    that treats a single run at a time is started afresh, its time counted from zero, whenever it is put in charge.
+    Switching controllers nest: ``SwitchingController(rig, EnergyPump(rig), planner)`` as the ``first`` of another pumps
+    energy, plans the last swing, and balances. A batched law runs along from the start in every row and is heard where
+    it is in charge; one that treats a single run at a time is started afresh, its time counted from zero, whenever it
+    is put in charge.
 
     Parameters
     ----------
@@ -280,9 +283,9 @@ class Catch:
     then : Controller, optional
         The law that catches; left out, ``LQR(rig)``.
     region : callable, optional
-        Which states ``(n, 6)`` are handed over, ``(n,)``: :class:`Ellipsoid`, :class:`Ahead`, :class:`NearEnergy` or
-        any function.  Left out, ``Ahead`` where ``then`` is an LQR: the states from which that law is seen to come to
-        rest; for a planner of one run at a time ``NearEnergy``; for any other law it is to be given.
+        Which states ``(n, 6)`` are handed over, ``(n,)``: :class:`Ellipsoid`, :class:`RolloutRegion`,
+        :class:`NearEnergy` or any function.  Left out, ``RolloutRegion`` where ``then`` is an LQR: the states from
+        which that law is seen to come to rest; ``NearEnergy`` for a planner of one run at a time; required otherwise.
     leave : callable, optional
         Which states are handed back.  It is asked only while ``then`` is in charge, so that it makes the hysteresis.
         Left out, those with a link below level, as seen from the target, where ``then`` is an LQR; for any other law
@@ -322,7 +325,7 @@ class Catch:
             if asked is not None and not callable(asked):
                 raise TypeError(f"{name} must tell which states (n, 6) belong to it, as a function; got {asked!r}.")
         if isinstance(self.then, LQR):
-            ahead = Ahead(rig, self.then, about=self.then.about)
+            ahead = RolloutRegion(rig, self.then, target=self.then.target)
             self.region: Region = ahead if region is None else region
             self.leave: Region = ahead.fallen if leave is None else leave
         elif region is None and is_batched(self.then):
@@ -340,7 +343,7 @@ class Catch:
         return f"<{self.name}>"
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         caught = np.zeros(n, dtype=np.bool_)
         laws = [_Along(law, n, rng) if is_batched(law) else _Afresh(law, n, rng) for law in (self.first, self.then)]
         told: list[Array] = []

@@ -74,7 +74,7 @@ class Trajectory:
         return self.rig.sample_time * len(self.u)
 
     def defect(self) -> float:
-        """Give the greatest difference between a state and where the plant goes from the last, held for one sample."""
+        """Return greatest difference between a state and where the plant goes from the last, held for one sample."""
         stepper = Stepper(ideal_rig(self.rig), len(self.u))
         stepper.reset(self.x[:-1])
         return float(np.abs(stepper.step(self.u) - self.x[1:]).max())

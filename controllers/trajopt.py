@@ -277,7 +277,7 @@ def _check(
 
 
 def _ends(begin: Array, target: str | npt.ArrayLike, guess: Trajectory | None) -> list[Array]:
-    """Give the states to end in: the target's angles by the turns next to the start's, one of each pair of mirrors."""
+    """Return states to end in: the target's angles by the turns next to the start's, one of each pair of mirrors."""
     end = as_equilibrium(target)
     if not isinstance(target, str):
         return [end]
@@ -379,11 +379,11 @@ def _solve(
         track_limit=rig.track_limit,
     )
     trajectory = Trajectory(rig=own, x=x, u=forces, target=end, about=about)
-    wrong = faults(trajectory, track_margin=track_margin)
+    wrong = violations(trajectory, track_margin=track_margin)
     return _Found(trajectory, float(answer["f"])) if not wrong else f"not holding in the simulator ({wrong})"
 
 
-def faults(trajectory: Trajectory, *, track_margin: float = 0.0) -> str:
+def violations(trajectory: Trajectory, *, track_margin: float = 0.0) -> str:
     """Say what a trajectory breaks: the plant's motion, a limit, or its target; an empty string if nothing.
 
     Parameters
@@ -396,7 +396,7 @@ def faults(trajectory: Trajectory, *, track_margin: float = 0.0) -> str:
     Returns
     -------
     str
-        The faults with their sizes, or nothing.
+        The violations with their sizes, or nothing.
     """
     rig = trajectory.rig
     found = {

@@ -25,7 +25,7 @@ _REACH = 5  # samples by which a run may move on along the trajectory in one, an
 
 
 def sensitivities(trajectory: Trajectory) -> tuple[Array, Array]:
-    r"""Give :math:`A_k = \partial F/\partial x` and :math:`B_k = \partial F/\partial u` at every sample, exactly.
+    r"""Return :math:`A_k = \partial F/\partial x` and :math:`B_k = \partial F/\partial u` at every sample, exactly.
 
     :math:`F` is the plant over one sample under a held force, differentiated by CasADi.
 
@@ -115,7 +115,7 @@ class TVLQR:
             _check(rig, trajectory)
         self.rig = rig
         self.index = index
-        self._end = LQR(rig, Q, R, about="up-up" if trajectory is None else trajectory.target)
+        self._end = LQR(rig, Q, R, target="up-up" if trajectory is None else trajectory.target)
         if trajectory is not None:
             self.trajectory = trajectory
 
@@ -156,7 +156,7 @@ class TVLQR:
         return self._design[1]
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs; ``log["sample"]`` tells which sample of the trajectory each was at."""
+        """Return the law for ``n`` runs; ``log["sample"]`` tells which sample of the trajectory each was at."""
         K, P = self._design
         N, T = len(K) - 1, self.rig.sample_time
         along = np.vstack([self.trajectory.x[:-1], self.trajectory.target])

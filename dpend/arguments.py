@@ -8,12 +8,12 @@ import numpy as np
 
 
 def is_finite(value: object) -> TypeGuard[float]:
-    """Tell whether a value is one finite real number; words, truth values and arrays of several are none."""
+    """Return whether a value is one finite real number; words, truth values and arrays of several are none."""
     return np.ndim(value) == 0 and np.asarray(value).dtype.kind in "iuf" and bool(np.isfinite(value))  # type: ignore[call-overload,arg-type]
 
 
 def checked_whole(name: str, value: object, least: int = 1) -> int:
-    """Give a whole number, Python's or numpy's, as an integer.
+    """Return a whole number, Python's or numpy's, as an integer.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ class Controller(Protocol):
     """
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs side by side, with memory of its own.
+        """Return the law for ``n`` runs side by side, with memory of its own.
 
         Parameters
         ----------
@@ -45,7 +45,7 @@ class Controller(Protocol):
 
 
 def is_batched(controller: Controller) -> bool:
-    """Tell whether the controller treats many runs at once, as it does unless it says otherwise."""
+    """Return whether the controller treats many runs at once, as it does unless it says otherwise."""
     return bool(getattr(controller, "batched", True))
 
 

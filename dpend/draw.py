@@ -126,7 +126,7 @@ class Picture:
         self._window: tuple[Figure, Any] | None = None
 
     def rgb(self, x: npt.ArrayLike, force: float = 0.0, *, time: float | None = None) -> Pixels:
-        """Give the picture of a state.
+        """Return the picture of a state.
 
         Parameters
         ----------
@@ -218,7 +218,7 @@ class Picture:
 
 
 def _inches(width: int, height: int) -> tuple[float, float]:
-    """Give the size of a figure of so many pixels; matplotlib rounds down, so a hair is added."""
+    """Return the size of a figure of so many pixels; matplotlib rounds down, so a hair is added."""
     return (width + 1e-6) / _DPI, (height + 1e-6) / _DPI
 
 
@@ -420,7 +420,7 @@ def _write_gif(path: Path, frames: Iterable[Pixels], colorful: Pixels, milliseco
 
 
 def _find_ffmpeg() -> str:
-    """Give ffmpeg's path, from the system or from the package imageio-ffmpeg.
+    """Return ffmpeg's path, from the system or from the package imageio-ffmpeg.
 
     Raises
     ------

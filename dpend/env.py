@@ -179,7 +179,7 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
         return with_sines(y)[0] if self._trig else y[0], reward, terminated, truncated, info
 
     def _force(self, action: Any) -> float:
-        """Give the force in N that an action asks for."""
+        """Return the force in N that an action asks for."""
         if self._forces is None:
             share = np.asarray(action)
             if share.shape == (1,) and share.dtype.kind in "fiu" and math.isfinite(number := share.item()):
@@ -232,7 +232,7 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
 
 
 def _maker(kind: type[Balance] | type[SwingUp]) -> Callable[..., CartDoublePendulumEnv]:
-    """Give the entry point that makes environments of one task."""
+    """Return the entry point that makes environments of one task."""
 
     def make(
         rig: Rig | str = "gustafsson2016",
@@ -293,7 +293,7 @@ def task_from(
 
 
 def checked_forces(forces: npt.ArrayLike | None, rig: Rig) -> Array | None:
-    """Give the forces that discrete actions choose from, or None for continuous actions.
+    """Return the forces that discrete actions choose from, or None for continuous actions.
 
     Raises
     ------
@@ -323,12 +323,12 @@ def checked_forces(forces: npt.ArrayLike | None, rig: Rig) -> Array | None:
 
 
 def action_space(forces: Array | None) -> spaces.Space[Any]:
-    """Give the space of indices of forces, or of shares of the force limit."""
+    """Return the space of indices of forces, or of shares of the force limit."""
     return spaces.Box(-1.0, 1.0, (1,), dtype=np.float32) if forces is None else spaces.Discrete(len(forces))
 
 
 def observation_space(observation: str) -> spaces.Space[Array]:
-    """Give the space of observations.
+    """Return the space of observations.
 
     Raises
     ------
@@ -345,7 +345,7 @@ def observation_space(observation: str) -> spaces.Space[Array]:
 
 
 def with_sines(y: Array) -> Array:
-    """Give (pos, sin th1, cos th1, sin th2, cos th2, vel, om1, om2), ``(n, 8)``, of states ``(n, 6)``."""
+    """Return (pos, sin th1, cos th1, sin th2, cos th2, vel, om1, om2), ``(n, 8)``, of states ``(n, 6)``."""
     out = np.empty((len(y), 8))
     out[:, 0] = y[:, 0]
     out[:, 5:] = y[:, 3:]
@@ -368,7 +368,7 @@ def check_render_mode(render_mode: str | None, known: list[str]) -> None:
 
 
 def frames_per_second(rig: Rig) -> int:
-    """Give the number of samples in a second, at least one: a film of all of them runs at the true speed."""
+    """Return the number of samples in a second, at least one: a film of all of them runs at the true speed."""
     return max(1, round(1 / rig.sample_time))
 
 
@@ -400,7 +400,7 @@ def check_starts(x0: Array, task: Task, rig: Rig) -> None:
 
 
 def noise_seed(env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]) -> int:
-    """Give what the noise is drawn from: the environment's seed, or a number from the generator that was put there."""
+    """Return the seed of the noise: the environment's own, or a number from the generator that replaced it."""
     seed = env.np_random_seed
     if not isinstance(seed, int) or seed < 0:  # Gymnasium's sign of a generator whose seed it does not know
         return int(env.np_random.integers(2**63))
@@ -408,5 +408,5 @@ def noise_seed(env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]) -> 
 
 
 def held_long_enough(held: Any, task: Task, rig: Rig) -> Any:
-    """Tell whether so many samples since the links were last not upright, -1 where they are not, make a success."""
+    """Return whether so many samples since the links were last not upright, -1 where they are not, make a success."""
     return held * rig.sample_time >= task.hold - 1e-9

@@ -192,8 +192,8 @@ def make_positions(sin, cos):
     return positions
 
 
-def ahead(x, k, h):
-    r"""Give :math:`x + h k`, number by number."""
+def axpy(x, k, h):
+    r"""Return :math:`x + h k`, number by number."""
     return (
         x[0] + h * k[0],
         x[1] + h * k[1],
@@ -204,15 +204,15 @@ def ahead(x, k, h):
     )
 
 
-def make_rk4(rates, ahead=ahead):
+def make_rk4(rates, axpy=axpy):
     r"""Build one classical Runge-Kutta step, :math:`x + \tfrac{h}{6}(k_1 + 2k_2 + 2k_3 + k_4)`.
 
     Parameters
     ----------
     rates : callable
         What :func:`make_rates` returned.
-    ahead : callable, optional
-        :func:`ahead`, in the form the kind of number needs (numba wants it compiled).
+    axpy : callable, optional
+        :func:`axpy`, in the form the kind of number needs (numba wants it compiled).
 
     Returns
     -------
@@ -222,9 +222,9 @@ def make_rk4(rates, ahead=ahead):
 
     def step(x, f, c, h):
         k1 = rates(x, f, c)
-        k2 = rates(ahead(x, k1, 0.5 * h), f, c)
-        k3 = rates(ahead(x, k2, 0.5 * h), f, c)
-        k4 = rates(ahead(x, k3, h), f, c)
+        k2 = rates(axpy(x, k1, 0.5 * h), f, c)
+        k3 = rates(axpy(x, k2, 0.5 * h), f, c)
+        k4 = rates(axpy(x, k3, h), f, c)
         slope = (
             k1[0] + 2.0 * (k2[0] + k3[0]) + k4[0],
             k1[1] + 2.0 * (k2[1] + k3[1]) + k4[1],
@@ -233,6 +233,6 @@ def make_rk4(rates, ahead=ahead):
             k1[4] + 2.0 * (k2[4] + k3[4]) + k4[4],
             k1[5] + 2.0 * (k2[5] + k3[5]) + k4[5],
         )
-        return ahead(x, slope, h / 6.0)
+        return axpy(x, slope, h / 6.0)
 
     return step

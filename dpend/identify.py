@@ -314,22 +314,22 @@ class _Problem:
         self._kept: tuple[bytes, tuple[Array, Array, Array, Array]] | None = None
 
     def values(self, z: Array) -> dict[str, float]:
-        """Give the parameters by name."""
+        """Return the parameters by name."""
         numbers = np.where(self.logarithm, np.exp(np.where(self.logarithm, z, 0.0)), np.maximum(z, 0.0))
         return {name: float(number) for name, number in zip(self.names, numbers, strict=True)}
 
     def reduced(self, z: Array, weights: Array) -> tuple[Array, Array]:
-        """Give residuals at the best initial states, and their Jacobian with these states eliminated (Kaufman's)."""
+        """Return residuals at the best initial states, and their Jacobian with these states eliminated (Kaufman's)."""
         residuals, _, basis, by_params = self._solved(z, weights)
         left = by_params - basis @ (basis.transpose(0, 2, 1) @ by_params)
         return residuals.ravel(), left.reshape(-1, len(self.names))
 
     def residuals(self, z: Array, weights: Array) -> Array:
-        """Give simulated less measured outputs ``(S, L, m)``, in their units."""
+        """Return simulated less measured outputs ``(S, L, m)``, in their units."""
         return self._solved(z, weights)[0].reshape(self.data.y.shape) / weights
 
     def noise(self, z: Array, weights: Array) -> Array:
-        """Give each output's standard deviation: squares over what the fit leaves of their number."""
+        """Return each output's standard deviation: squares over what the fit leaves of their number."""
         residuals, _, basis, _ = self._solved(z, weights)
         _, jacobian = self.reduced(z, weights)
         leverage = (basis**2).sum(axis=2).ravel() + (np.linalg.qr(jacobian)[0] ** 2).sum(axis=1)
@@ -340,7 +340,7 @@ class _Problem:
         return np.maximum(np.sqrt(squares.sum(axis=0) / freedom), 1e-12)
 
     def _solved(self, z: Array, weights: Array) -> tuple[Array, Array, Array, Array]:
-        """Give weighted residuals ``(S, L m)``, initial states, an orthonormal basis of what these do, and Jacobian."""
+        """Return weighted residuals ``(S, L m)``, initial states, a basis of their effect, and Jacobian."""
         key = z.tobytes() + weights.tobytes()
         if self._kept is None or self._kept[0] != key:
             self._kept = key, self._solve(z, weights)
@@ -388,14 +388,14 @@ class _Problem:
         return residuals, x0, basis, self._by_params(z, x0, weights)
 
     def _plants(self, points: Array) -> Params:
-        """Give the plants of several points ``(k, p)``: single numbers for one, arrays for more."""
+        """Return the plants of several points ``(k, p)``: single numbers for one, arrays for more."""
         rows = [self.values(point) for point in points]
         if len(rows) == 1:
             return replace(self.params, **rows[0])
         return replace(self.params, **{name: np.array([row[name] for row in rows]) for name in self.names})
 
     def _simulated(self, x0: Array, params: Params, copies: int) -> Array:
-        """Give outputs ``(copies, S, L m)`` from states ``(copies S, 6)``, one plant for all or one for each copy."""
+        """Return outputs ``(copies, S, L m)`` from states ``(copies S, 6)``, one plant for all or one for each copy."""
         data = self.data
         if params.n is not None:
             spread = {k: np.repeat(v, data.count) for k, v in params.to_dict().items() if isinstance(v, np.ndarray)}
@@ -411,7 +411,7 @@ class _Problem:
         return outputs.reshape(copies, data.count, -1)
 
     def _by_state(self, x0: Array, params: Params, weights: Array) -> tuple[Array, Array]:
-        """Give weighted residuals ``(S, L m)`` and their derivatives by the initial states ``(S, L m, 6)``."""
+        """Return weighted residuals ``(S, L m)`` and their derivatives by the initial states ``(S, L m, 6)``."""
         moves = np.vstack([np.zeros((1, 6)), _STATE_STEP * np.eye(6), -_STATE_STEP * np.eye(6)])
         outputs = self._simulated((x0[None] + moves[:, None]).reshape(-1, 6), params, 13)
         weight = np.tile(weights, self.data.y.shape[1])
@@ -420,7 +420,7 @@ class _Problem:
         return residuals, slopes.transpose(1, 2, 0)
 
     def _by_params(self, z: Array, x0: Array, weights: Array) -> Array:
-        """Give the derivatives of the weighted residuals by the parameters ``(S, L m, p)``.
+        """Return the derivatives of the weighted residuals by the parameters ``(S, L m, p)``.
 
         Central differences; ahead only, to the same order, for what must not fall below zero.
         """
@@ -487,7 +487,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _value(params: Params, name: str) -> Number:
-    """Give a parameter, its default resolved where it was left out."""
+    """Return a parameter, its default resolved where it was left out."""
     value = getattr(params, name)
     if value is None:
         of = params.centers if name.startswith("com") else params.inertias
@@ -523,6 +523,6 @@ def _checked_outputs(outputs: Sequence[str]) -> tuple[str, ...]:
 
 
 def _autocorrelation(residuals: Array) -> float:
-    """Give the correlation of residuals ``(S, L)`` with those of the next sample."""
+    """Return the correlation of residuals ``(S, L)`` with those of the next sample."""
     squares = float((residuals**2).mean())
     return float((residuals[:, 1:] * residuals[:, :-1]).mean()) / squares if squares > 0 else 0.0

@@ -62,7 +62,7 @@ _COS = tuple((-1) ** k / math.factorial(2 * k) for k in range(11))
 
 @inline
 def _reduced(angle):
-    """Give the difference to the nearest half turn, and the sign that so many half turns put on sine and cosine."""
+    """Return the difference to the nearest half turn, and the sign that so many half turns put on sine and cosine."""
     half_turns = np.rint(angle * (1.0 / math.pi))
     rest = ((angle - half_turns * _PI_HIGH) - half_turns * _PI_MIDDLE) - half_turns * _PI_LOW
     turns = 0.5 * half_turns
@@ -105,14 +105,14 @@ def cos(angle):
 
 
 rates = inline(equations.make_rates(sin, cos))
-ahead = inline(equations.ahead)
-rk4 = inline(equations.make_rk4(rates, ahead))
+axpy = inline(equations.axpy)
+rk4 = inline(equations.make_rk4(rates, axpy))
 acceleration_slopes = inline(equations.make_acceleration_slopes(sin, cos))
 
 
 @inline
 def sample(x, f, c, h, substeps):
-    """Give the state tuple after ``substeps`` Runge-Kutta steps of ``h`` seconds under held forces: the scalar step."""
+    """Return state tuple after ``substeps`` Runge-Kutta steps of ``h`` seconds under held forces: the scalar step."""
     for _ in range(substeps):
         x = rk4(x, f, c, h)
     return x

@@ -12,7 +12,7 @@ _STEP = 1e-30  # a complex step has no cancellation, so it may be as small as on
 
 
 def linearize(params: Params, x: npt.ArrayLike | None = None, u: float = 0.0) -> tuple[Array, Array]:
-    r"""Give :math:`A = \partial\dot x/\partial x` and :math:`B = \partial\dot x/\partial u`, exact to rounding.
+    r"""Return :math:`A = \partial\dot x/\partial x` and :math:`B = \partial\dot x/\partial u`, exact to rounding.
 
     Each column is the imaginary part of the rates at a point moved by an imaginary step, divided by that step.
 
@@ -55,7 +55,7 @@ def linearize(params: Params, x: npt.ArrayLike | None = None, u: float = 0.0) ->
 
 
 def discretize(A: npt.ArrayLike, B: npt.ArrayLike, sample_time: float) -> tuple[Array, Array]:
-    r"""Give :math:`A_d = e^{AT}` and :math:`B_d = \int_0^T e^{As}\,ds\,B`: the plant sampled, with its force held.
+    r"""Return :math:`A_d = e^{AT}` and :math:`B_d = \int_0^T e^{As}\,ds\,B`: the plant sampled, with its force held.
 
     Both are blocks of one matrix exponential, so nothing is truncated.
 

@@ -156,7 +156,7 @@ def smoothness_metrics(
 def power_spectrum(
     u: Array, sample_time: float, force_limit: float | Array, *, highest: float | None = None
 ) -> tuple[Array, Array]:
-    r"""Give the one-sided power spectral density of held force signals in units of :math:`u_\max`.
+    r"""Return the one-sided power spectral density of held force signals in units of :math:`u_\max`.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def power_spectrum(
 
 
 def _checked(u: npt.ArrayLike, force_limit: float | Array) -> tuple[Array, Array, Array]:
-    """Give signals, limits and units of force, one a row."""
+    """Return signals, limits and units of force, one a row."""
     u = np.asarray(u, dtype=np.float64)
     if u.ndim != 2:
         raise ValueError(f"Expected force signals of shape (N, T); got shape {u.shape}.")
@@ -221,7 +221,7 @@ def _sign_changes(u: Array) -> Array:
 
 
 def _slew(u: Array, sample_time: float, lag: float) -> Array:
-    """Give the root mean square of the rate of staircases ``(n, T)`` that went through a first-order lag, N/s."""
+    """Return the root mean square of the rate of staircases ``(n, T)`` that went through a first-order lag, N/s."""
     rest = math.exp(-sample_time / lag)
     error = np.zeros(len(u))
     squares = np.zeros(len(u))
@@ -237,7 +237,7 @@ def _lines_up_to(frequency: float, seconds: float) -> int:
 
 
 def _amplitudes(u: Array, lines: npt.NDArray[np.int64]) -> Array:
-    """Give the size of the cosine coefficients of staircases ``(n, T)`` at some lines; line 0 is the mean."""
+    """Return the size of the cosine coefficients of staircases ``(n, T)`` at some lines; line 0 is the mean."""
     n = u.shape[1]
     spectrum = np.abs(np.fft.rfft(np.hstack([u, u[:, ::-1]]), axis=1)) / (2 * n)
     place = lines % (2 * n)
@@ -245,7 +245,7 @@ def _amplitudes(u: Array, lines: npt.NDArray[np.int64]) -> Array:
 
 
 def _spectral_share(u: Array, sample_time: float, cutoff: float) -> Array:
-    """Give the share of the power of staircases ``(n, T)`` above a frequency in Hz."""
+    """Return the share of the power of staircases ``(n, T)`` above a frequency in Hz."""
     slow = _amplitudes(u, np.arange(_lines_up_to(cutoff, u.shape[1] * sample_time) + 1))
     power = (u * u).mean(axis=1)
     below = slow[:, 0] ** 2 + 2 * (slow[:, 1:] ** 2).sum(axis=1)
@@ -254,7 +254,7 @@ def _spectral_share(u: Array, sample_time: float, cutoff: float) -> Array:
 
 
 def _caps_sm(u: Array) -> Array:
-    r"""Give the mean of :math:`M_i f_i` over the lines below half the sampling rate, there 1 in frequency, in N."""
+    r"""Return the mean of :math:`M_i f_i` over the lines below half the sampling rate, there 1 in frequency, in N."""
     samples = u.shape[1]
     n = samples // 2
     if n == 0:

@@ -60,7 +60,7 @@ _BOUNDS = {
 
 
 def checked_number(name: str, value: object, unit: str, least: float, least_allowed: bool) -> Number:
-    """Give ``value`` as a float, or as a read-only array of one number a row, if it is finite and large enough.
+    """Return ``value`` as a float, or as a read-only array of one number a row, if it is finite and large enough.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def checked_number(name: str, value: object, unit: str, least: float, least_allo
 
 
 def common_length(owner: str, values: dict[str, object]) -> int | None:
-    """Give the number of rows that the array-valued fields share, or None where every field is a single number.
+    """Return the number of rows that the array-valued fields share, or None where every field is a single number.
 
     Raises
     ------
@@ -193,7 +193,7 @@ class Params:
         )
 
     def coefficients(self) -> Coefficients:
-        """Give the lumped coefficients of the equations of motion."""
+        """Return the lumped coefficients of the equations of motion."""
         com1, com2 = self.centers
         inertia1, inertia2 = self.inertias
         d2 = self.mass1 * com1 + self.mass2 * self.length1
@@ -217,7 +217,7 @@ class Params:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Give the fields by name, as they were set."""
+        """Return the fields by name, as they were set."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __eq__(self, other: object) -> bool:

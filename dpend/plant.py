@@ -45,7 +45,7 @@ def _numbers(x: npt.ArrayLike) -> npt.NDArray[Any]:
 
 
 def rates(x: npt.ArrayLike, u: npt.ArrayLike, params: Params) -> npt.NDArray[Any]:
-    r"""Give :math:`\dot x = (\dot q, D^{-1}(f - f_\text{friction} - C\dot q - G))`.
+    r"""Return :math:`\dot x = (\dot q, D^{-1}(f - f_\text{friction} - C\dot q - G))`.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def rates(x: npt.ArrayLike, u: npt.ArrayLike, params: Params) -> npt.NDArray[Any
 
 
 def energies(x: npt.ArrayLike, params: Params) -> Energies:
-    r"""Give :math:`T = \tfrac12\dot q^\top D\dot q` and :math:`V = f_1\cos\theta_1 + f_2\cos\theta_2` in J.
+    r"""Return :math:`T = \tfrac12\dot q^\top D\dot q` and :math:`V = f_1\cos\theta_1 + f_2\cos\theta_2` in J.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def energies(x: npt.ArrayLike, params: Params) -> Energies:
 
 
 def positions(x: npt.ArrayLike, params: Params) -> Positions:
-    """Give where the second joint and the tip are, in m.
+    """Return where the second joint and the tip are, in m.
 
     Parameters
     ----------

@@ -33,7 +33,7 @@ def fingerprint(*sources: Path) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Give the versions of Python, of the machine's architecture, and of the libraries that results depend on."""
+    """Return the versions of Python, of the machine's architecture, and of the libraries that results depend on."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
     return found | {library: _version(library) for library in _LIBRARIES}
 

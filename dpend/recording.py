@@ -96,7 +96,7 @@ def read_recording(
 
 
 def applied(rig: Rig, command: Array) -> Array:
-    """Give the forces that the rig's actuator makes of commands ``(T,)``: delayed, limited, lagged, without noise."""
+    """Return the forces that the rig's actuator makes of commands ``(T,)``: delayed, limited, lagged, without noise."""
     actuator = rig.replace(force_noise=0.0, sensor_noise=0.0, sensor_delay=0, resolution=0.0)
     stepper = Stepper(actuator, 1)
     stepper.reset(np.zeros(6))
@@ -109,7 +109,7 @@ def applied(rig: Rig, command: Array) -> Array:
 
 
 def fitted_rates(values: Array, sample_time: float) -> Array:
-    """Give the slope at each sample of the parabola that fits up to seven samples around it best."""
+    """Return the slope at each sample of the parabola that fits up to seven samples around it best."""
     n = len(values)
     width = min(_FIT, n)
     if width < 2:
@@ -124,7 +124,7 @@ def fitted_rates(values: Array, sample_time: float) -> Array:
 
 
 def _radians(unit: str | float | Sequence[float]) -> tuple[float, float]:
-    """Give the radians in a unit of each angle."""
+    """Return the radians in a unit of each angle."""
     named = {"rad": 1.0, "deg": math.pi / 180}
     try:
         numbers = np.array(named[unit] if isinstance(unit, str) else unit, dtype=np.float64)
@@ -140,7 +140,7 @@ def _radians(unit: str | float | Sequence[float]) -> tuple[float, float]:
 
 
 def _chosen(columns: Mapping[str, str] | None) -> dict[str, str]:
-    """Give the heading of each quantity."""
+    """Return the heading of each quantity."""
     given = dict(columns or {})
     for name in given:
         if name not in COLUMNS:
@@ -248,5 +248,5 @@ def _check_sizes(path: str | Path, x: Array, u: Array, rig: Rig) -> None:
 
 
 def _speed(angle: Array, sample_time: float) -> float:
-    """Give a speed that is exceeded, up to one sample in a hundred."""
+    """Return a speed that is exceeded, up to one sample in a hundred."""
     return float(np.quantile(np.abs(fitted_rates(angle, sample_time)), 0.99))

@@ -170,7 +170,7 @@ class Rig:
         return not any(np.any(value) for value in imperfections)
 
     def replace(self, **changes: Any) -> Rig:
-        """Give a rig with some fields of its own or of its ``params`` changed.
+        """Return a rig with some fields of its own or of its ``params`` changed.
 
         Raises
         ------
@@ -189,7 +189,7 @@ class Rig:
         return replace(self, params=params, **changes)
 
     def rows(self, rows: slice | int) -> Rig:
-        """Give the rig of some rows of a batch, or of one: array fields are cut, single values stay."""
+        """Return the rig of some rows of a batch, or of one: array fields are cut, single values stay."""
         if self.n is None:
             return self
         own = {name: value[rows] if _is_per_row(name, value) else value for name, value in self._own().items()}
@@ -197,7 +197,7 @@ class Rig:
         return Rig(params=Params(**plant), **own)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give the fields by name, ``params`` as a dict of its own."""
+        """Return the fields by name, ``params`` as a dict of its own."""
         return {"params": self.params.to_dict()} | self._own()
 
     @classmethod
@@ -334,7 +334,7 @@ PRESETS: MappingProxyType[str, Callable[[], Rig]] = MappingProxyType(
 
 
 def rig(name: str) -> Rig:
-    """Give the preset rig of that name.
+    """Return the preset rig of that name.
 
     Parameters
     ----------
@@ -356,7 +356,7 @@ def rig(name: str) -> Rig:
 
 
 def as_rig(rig_or_name: Rig | str) -> Rig:
-    """Give the rig, or the preset of that name.
+    """Return the rig, or the preset of that name.
 
     Parameters
     ----------
@@ -387,7 +387,7 @@ def rigs() -> dict[str, str]:
 
 
 def single_rig(rig_or_name: Rig | str, what: str) -> Rig:
-    """Give the rig, or the preset of that name, for something that takes one plant.
+    """Return the rig, or the preset of that name, for something that takes one plant.
 
     Parameters
     ----------
@@ -412,5 +412,5 @@ def single_rig(rig_or_name: Rig | str, what: str) -> Rig:
 
 
 def ideal_rig(rig: Rig) -> Rig:
-    """Give the plant with its clock and nothing in between: no limits, lag, delays, noise or rounding."""
+    """Return the plant with its clock and nothing in between: no limits, lag, delays, noise or rounding."""
     return Rig(params=rig.params, sample_time=rig.sample_time, substeps=rig.substeps)

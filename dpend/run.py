@@ -46,7 +46,7 @@ _LOG = "log "
 
 
 def _marked(log: Mapping[str, Array]) -> dict[str, npt.NDArray[Any]]:
-    """Give a log under names that nothing else in the file has."""
+    """Return a log under names that nothing else in the file has."""
     return {_LOG + name: told for name, told in log.items()}
 
 
@@ -121,7 +121,7 @@ class Run:
         return f"<run of {self.controller}, {self.t[-1]:g} s: {self.status.value}>"
 
     def metrics(self) -> dict[str, float]:
-        """Give the run's figures of merit; their units are in ``dpend.metrics.UNITS``."""
+        """Return the run's figures of merit; their units are in ``dpend.metrics.UNITS``."""
         of_force = force_metrics(
             self.u[None], self.rig.sample_time, self.rig.force_limit, force_noise=self.rig.force_noise
         )
@@ -132,7 +132,7 @@ class Run:
         } | {name: float(value[0]) for name, value in of_force.items()}
 
     def smoothness(self, *, lag: float = 0.01, cutoff: float = 5.0) -> dict[str, float]:
-        """Give ``slew``, ``spectral_share``, ``caps_sm`` and ``std_step`` of the force.
+        """Return ``slew``, ``spectral_share``, ``caps_sm`` and ``std_step`` of the force.
 
         Parameters
         ----------
@@ -388,7 +388,7 @@ class Runs:
         return [members[code] for code in self.codes]
 
     def metrics(self) -> dict[str, Array]:
-        """Give every run's figures of merit, each ``(N,)``; their units are in ``dpend.metrics.UNITS``."""
+        """Return every run's figures of merit, each ``(N,)``; their units are in ``dpend.metrics.UNITS``."""
         return {
             "success": self.success.astype(np.float64),
             "time_up": self.time_up,
@@ -396,7 +396,7 @@ class Runs:
         } | force_metrics(self.u, self.rig.sample_time, self.rig.force_limit, force_noise=self.rig.force_noise)
 
     def smoothness(self, *, lag: float = 0.01, cutoff: float = 5.0) -> dict[str, Array]:
-        """Give ``slew``, ``spectral_share``, ``caps_sm`` and ``std_step`` of every run's force, each ``(N,)``.
+        """Return ``slew``, ``spectral_share``, ``caps_sm`` and ``std_step`` of every run's force, each ``(N,)``.
 
         They stand apart from :meth:`metrics` because they ask for two numbers and take as long as all the others.
 
@@ -420,7 +420,7 @@ class Runs:
         return smoothness_metrics(self.u, self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
 
     def __getitem__(self, row: int) -> Run:
-        """Give one recorded run, cut at its end.
+        """Return one recorded run, cut at its end.
 
         Raises
         ------

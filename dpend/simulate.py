@@ -17,7 +17,7 @@ from .rig import Rig, as_rig
 from .run import Run, Runs
 from .state import as_states
 from .stepper import CONTROLLER_STREAM, Stepper, checked_push, row_sequence
-from .tasks import Balance, Task, Unending, checked_task
+from .tasks import Balance, NoTask, Task, checked_task
 
 Push = Callable[[float], npt.ArrayLike]
 """Generalised forces on cart (N), link 1 and link 2 (N m), ``(3,)`` or ``(N, 3)``, as a function of time in s."""
@@ -135,7 +135,7 @@ def simulate_many(
         raise ValueError(f"The rig describes {rig.n} rows, x0 has {len(states)}; expected the same number.")
     if workers < 1:
         raise ValueError(f"workers must be at least 1; got {workers}.")
-    the_task: Task = Unending() if task is None else checked_task(task)
+    the_task: Task = NoTask() if task is None else checked_task(task)
     samples = _samples(rig, the_task, duration)
     if push is not None:
         if not callable(push):
@@ -153,7 +153,7 @@ def simulate_many(
 
 
 def checked_seed(name: str, value: object) -> int:
-    """Give a seed, or the number of a row, as an integer.
+    """Return a seed, or the number of a row, as an integer.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def checked_seed(name: str, value: object) -> int:
 
 
 def _samples(rig: Rig, task: Task, duration: float | None) -> int:
-    """Give the number of samples in a run.
+    """Return the number of samples in a run.
 
     Raises
     ------
@@ -294,7 +294,7 @@ def _simulate_block(
 
 
 def _log(act: Act, n: int, samples: int, after_end: npt.NDArray[np.bool_]) -> dict[str, Array]:
-    """Give what the law tells of its steps as arrays ``(n, samples)``; NaN after a run's end."""
+    """Return what the law tells of its steps as arrays ``(n, samples)``; NaN after a run's end."""
     log: dict[str, Array] = {}
     for name, entries in getattr(act, "log", {}).items():
         told = np.full((samples, n), np.nan)

@@ -34,12 +34,12 @@ EQUILIBRIA = MappingProxyType(
 
 
 def wrap_angle(angle):
-    r"""Give :math:`\theta - 2\pi\,\mathrm{round}(\theta/2\pi)` for a float, an array, or in compiled code."""
+    r"""Return :math:`\theta - 2\pi\,\mathrm{round}(\theta/2\pi)` for a float, an array, or in compiled code."""
     return angle - _TURN * np.rint(angle / _TURN)
 
 
 def wrap(angle: npt.ArrayLike) -> Array:
-    r"""Give :math:`\theta - 2\pi\,\mathrm{round}(\theta/2\pi)`, the difference to the nearest whole turn.
+    r"""Return :math:`\theta - 2\pi\,\mathrm{round}(\theta/2\pi)`, the difference to the nearest whole turn.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def wrap(angle: npt.ArrayLike) -> Array:
 
 
 def nearest_upright(x: npt.ArrayLike) -> Array:
-    """Give the states with both angles taken to the nearest whole turn, so that upright is zero.
+    """Return the states with both angles taken to the nearest whole turn, so that upright is zero.
 
     Parameters
     ----------
@@ -72,14 +72,14 @@ def nearest_upright(x: npt.ArrayLike) -> Array:
     return x
 
 
-def deviation(x: npt.ArrayLike, about: npt.ArrayLike) -> Array:
-    r"""Give :math:`x - x^*` with both angles taken to the nearest whole turn.
+def deviation(x: npt.ArrayLike, target: npt.ArrayLike) -> Array:
+    r"""Return :math:`x - x^*` with both angles taken to the nearest whole turn.
 
     Parameters
     ----------
     x : array_like
         States ``(..., 6)``.
-    about : array_like
+    target : array_like
         :math:`x^*`, a state ``(6,)`` or states that broadcast against ``x``.
 
     Returns
@@ -87,15 +87,15 @@ def deviation(x: npt.ArrayLike, about: npt.ArrayLike) -> Array:
     ndarray
         New differences, angles within :math:`[-\pi, \pi]`.
     """
-    return nearest_upright(np.asarray(x, dtype=np.float64) - np.asarray(about, dtype=np.float64))
+    return nearest_upright(np.asarray(x, dtype=np.float64) - np.asarray(target, dtype=np.float64))
 
 
-def as_equilibrium(about: str | npt.ArrayLike) -> Array:
-    """Give the equilibrium of that name, or check that a state is one, without a force and wherever the cart stands.
+def as_equilibrium(target: str | npt.ArrayLike) -> Array:
+    """Return the equilibrium of that name, or check that a state is one, without a force and wherever the cart stands.
 
     Parameters
     ----------
-    about : str or array_like (6,)
+    target : str or array_like (6,)
         One of :data:`EQUILIBRIA`, or a state at rest with each link straight up or down, by any number of turns.
 
     Returns
@@ -108,23 +108,23 @@ def as_equilibrium(about: str | npt.ArrayLike) -> Array:
     ValueError
         If there is no such equilibrium; the message suggests the nearest.
     """
-    if isinstance(about, str):
-        if about not in EQUILIBRIA:
-            raise ValueError(f"There is no equilibrium {about!r}.{suggestion(about, EQUILIBRIA)}")
-        return EQUILIBRIA[about]
-    x = np.array(about, dtype=np.float64)
+    if isinstance(target, str):
+        if target not in EQUILIBRIA:
+            raise ValueError(f"There is no equilibrium {target!r}.{suggestion(target, EQUILIBRIA)}")
+        return EQUILIBRIA[target]
+    x = np.array(target, dtype=np.float64)
     at_rest = x.shape == (6,) and np.isfinite(x).all() and not x[3:].any()
     if not at_rest or np.abs(np.sin(x[1:3])).max() > 1e-9:
         raise ValueError(
             f"An equilibrium is at rest with each link straight up or down: expected one of {', '.join(EQUILIBRIA)} or "
-            f"a state (pos, k1 pi, k2 pi, 0, 0, 0); got {about!r}."
+            f"a state (pos, k1 pi, k2 pi, 0, 0, 0); got {target!r}."
         )
     x.setflags(write=False)
     return x
 
 
 def as_states(x: npt.ArrayLike, n: int | None = None) -> Array:
-    """Give ``x`` as a new float64 array of states ``(n, 6)``; a single state stands for one row.
+    """Return ``x`` as a new float64 array of states ``(n, 6)``; a single state stands for one row.
 
     Parameters
     ----------

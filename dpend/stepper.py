@@ -18,7 +18,7 @@ _ALL = slice(None)
 
 
 def row_sequence(seed: int, row: int, stream: int) -> np.random.SeedSequence:
-    """Give the seed of one stream of one row: the same whatever the batch, its order or the controller."""
+    """Return the seed of one stream of one row: the same whatever the batch, its order or the controller."""
     return np.random.SeedSequence(seed, spawn_key=(row, stream))
 
 
@@ -27,7 +27,7 @@ SENSOR_STREAM, FORCE_STREAM, CONTROLLER_STREAM = range(3)
 
 
 def checked_push(push: npt.ArrayLike, n: int) -> Array:
-    """Give pushes as an array ``(3,)`` or ``(n, 3)``.
+    """Return pushes as an array ``(3,)`` or ``(n, 3)``.
 
     Raises
     ------

@@ -12,7 +12,7 @@ Described = TypeVar("Described")
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """Give " Did you mean 'x'?" for the nearest known word, or the list of all where none is near."""
+    """Return " Did you mean 'x'?" for the nearest known word, or the list of all where none is near."""
     words = sorted(known)
     near = difflib.get_close_matches(word, words, n=1)
     return f" Did you mean {near[0]!r}?" if near else f" Known: {', '.join(words)}."

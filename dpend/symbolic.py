@@ -16,7 +16,7 @@ _energies = equations.make_energies(casadi.cos)
 
 
 def rates_function(params: Params) -> Any:
-    r"""Give :math:`(x, f) \mapsto \dot x`, the equations of motion, as a CasADi function.
+    r"""Return :math:`(x, f) \mapsto \dot x`, the equations of motion, as a CasADi function.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def rates_function(params: Params) -> Any:
 
 
 def sample_function(rig: Rig, *, free_step: bool = False) -> Any:
-    r"""Give :math:`(x_k, u_k) \mapsto x_{k+1} = \Phi^n(x_k, u_k)`, a sample of n substeps, as a CasADi function.
+    r"""Return :math:`(x_k, u_k) \mapsto x_{k+1} = \Phi^n(x_k, u_k)`, a sample of n substeps, as a CasADi function.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def sample_function(rig: Rig, *, free_step: bool = False) -> Any:
 
 
 def substep_function(rig: Rig, *, free_step: bool = False) -> Any:
-    r"""Give :math:`\Phi(x, u)`, one classical Runge-Kutta step of length :math:`T/n`, as a CasADi function.
+    r"""Return :math:`\Phi(x, u)`, one classical Runge-Kutta step of length :math:`T/n`, as a CasADi function.
 
     A sample is :math:`n` of them; optimal control that is built of steps rather than samples has smaller derivatives.
 
@@ -84,7 +84,7 @@ def substep_function(rig: Rig, *, free_step: bool = False) -> Any:
 
 
 def energy_function(params: Params) -> Any:
-    r"""Give :math:`x \mapsto E = E_\text{kin} + E_\text{pot}`, J, as a CasADi function.
+    r"""Return :math:`x \mapsto E = E_\text{kin} + E_\text{pot}`, J, as a CasADi function.
 
     Parameters
     ----------

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .arguments import is_finite
+from .deprecation import renamed_arguments, renamed_exports
 from .params import Array
 from .rig import Rig
 from .state import EQUILIBRIA, as_equilibrium
@@ -39,15 +40,15 @@ class Task(Protocol):
         ...
 
     def ended(self, x: Array, rig: Rig) -> Codes:
-        """Give the status codes ``(n,)`` of states ``(n, 6)``; zero where the episode goes on."""
+        """Return the status codes ``(n,)`` of states ``(n, 6)``; zero where the episode goes on."""
         ...
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Tell which states ``(n, 6)`` have both links up."""
+        """Return which states ``(n, 6)`` have both links up."""
         ...
 
     def cost(self, x: Array, codes: Codes) -> Array:
-        """Give the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
+        """Return the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
         ...
 
 
@@ -75,7 +76,7 @@ def _kernels() -> ModuleType:
 
 
 def _codes(x: Array, rig: Rig, limit1: float, limit2: float) -> Codes:
-    """Give status codes for the ends of the track and bounds on the angles."""
+    """Return status codes for the ends of the track and bounds on the angles."""
     codes = np.empty(len(x), dtype=np.uint8)
     _kernels().status_codes(x, rig.track_limit, limit1, limit2, codes)
     return codes
@@ -117,7 +118,7 @@ class ReportCost:
         object.__setattr__(self, "state_weights", tuple(map(float, weights)))
 
     def cost(self, x: Array, codes: Codes) -> Array:
-        """Give the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
+        """Return the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
         costs = np.empty(len(x))
         _kernels().report_costs(x, codes, *self.target_angles, *self.state_weights, self.failure_cost, costs)
         return costs
@@ -186,11 +187,11 @@ class Balance(ReportCost):
         return x
 
     def ended(self, x: Array, rig: Rig) -> Codes:
-        """Give status codes: the track's end, a fallen link, or zero."""
+        """Return status codes: the track's end, a fallen link, or zero."""
         return _codes(x, rig, *self.angle_limits)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Tell that every state will do: balancing asks for nothing but to last."""
+        """Return that every state will do: balancing asks for nothing but to last."""
         return np.ones(len(x), dtype=np.bool_)
 
 
@@ -216,6 +217,7 @@ STARTS: Mapping[str, Array] = {
 """States at rest ``(6,)`` by name, from which a swing-up may start."""
 
 
+@renamed_arguments(spread="angle_spread")
 @suggests
 @dataclass(frozen=True, kw_only=True)
 class SwingUp(ReportCost):
@@ -232,7 +234,7 @@ class SwingUp(ReportCost):
         track (1 m where it has no end), rates :math:`\mathcal N(0, 1)` in m/s and rad/s.
     target : str
         The name of the equilibrium that is to be reached; wherever it says "upright" here, this is meant.
-    spread : float
+    angle_spread : float
         Each angle of a start at rest is moved by :math:`U[-s, s]`, rad.
     steps : int
         Samples in a full episode; the report's 1000.
@@ -251,7 +253,7 @@ class SwingUp(ReportCost):
 
     start: str = "hanging"
     target: str = "up-up"
-    spread: float = 0.0
+    angle_spread: float = 0.0
     steps: int = 1000
     hold: float = 1.0
     upright_angle: float = 0.2
@@ -267,8 +269,8 @@ class SwingUp(ReportCost):
                 f"target must be the name of an equilibrium, {', '.join(EQUILIBRIA)}; got {self.target!r}."
             )
         as_equilibrium(self.target)
-        if not (is_finite(self.spread) and 0 <= self.spread <= math.pi):
-            raise ValueError(f"spread must be within 0 and pi rad; got {self.spread!r}.")
+        if not (is_finite(self.angle_spread) and 0 <= self.angle_spread <= math.pi):
+            raise ValueError(f"angle_spread must be within 0 and pi rad; got {self.angle_spread!r}.")
         if not (is_finite(self.hold) and self.hold > 0):
             raise ValueError(f"hold must be finite and greater than 0 s; got {self.hold!r}.")
         if not (is_finite(self.upright_angle) and 0 < self.upright_angle < math.pi):
@@ -289,22 +291,22 @@ class SwingUp(ReportCost):
             x[:, 1:3] = rng.uniform(-np.pi, np.pi, (n, 2))
             return x
         x = np.zeros((n, 6))
-        x[:, 1:3] = STARTS[self.start][1:3] + self.spread * rng.uniform(-1.0, 1.0, (n, 2))
+        x[:, 1:3] = STARTS[self.start][1:3] + self.angle_spread * rng.uniform(-1.0, 1.0, (n, 2))
         return x
 
     def ended(self, x: Array, rig: Rig) -> Codes:
-        """Give status codes: the track's end, or zero."""
+        """Return status codes: the track's end, or zero."""
         return _codes(x, rig, math.inf, math.inf)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Tell which states have both links within ``upright_angle`` of the target's angles."""
+        """Return which states have both links within ``upright_angle`` of the target's angles."""
         upright = np.empty(len(x), dtype=np.bool_)
         _kernels().links_upright(x, *self.target_angles, self.upright_angle, upright)
         return upright
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unending:
+class NoTask:
     """No task at all: a run ends at the track's end, and otherwise when its time is up."""
 
     @property
@@ -318,11 +320,11 @@ class Unending:
         return 0.0
 
     def starts(self, rng: np.random.Generator, n: int, rig: Rig) -> Array:
-        """Give ``n`` states at rest, hanging."""
+        """Return ``n`` states at rest, hanging."""
         return np.tile(EQUILIBRIA["down-down"], (n, 1))
 
     def ended(self, x: Array, rig: Rig) -> Codes:
-        """Give status codes: the track's end, or zero."""
+        """Return status codes: the track's end, or zero."""
         return _codes(x, rig, math.inf, math.inf)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
@@ -332,3 +334,6 @@ class Unending:
     def cost(self, x: Array, codes: Codes) -> Array:
         """Nothing costs anything."""
         return np.zeros(len(x))
+
+
+__getattr__ = renamed_exports(__name__, {"Unending": "NoTask"}, globals())

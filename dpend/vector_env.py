@@ -303,7 +303,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         return np.zeros(self.num_envs) if self._stepper is None else self._stepper.force.copy()
 
     def _finals(self, y: Array, ends: dict[str, Any], done: Flags) -> dict[str, Any]:
-        """Give the last observations and infos of the episodes that are over."""
+        """Return the last observations and infos of the episodes that are over."""
         over = self._over
         final_obs = np.empty(self.num_envs, dtype=object)
         for row, seen in zip(over, self._observe(y[over]), strict=True):
@@ -339,7 +339,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         return self._ahead[self._used - len(rows) : self._used]
 
     def _commands(self, actions: Any) -> Array:
-        """Give the forces in N, ``(n,)``, that actions ask for."""
+        """Return the forces in N, ``(n,)``, that actions ask for."""
         given = np.asarray(actions)
         if self._forces is None:
             if given.shape == (self.num_envs, 1) and given.dtype.kind in "fiu":
@@ -411,7 +411,7 @@ def _described(array: npt.NDArray[Any]) -> str:
 
 
 def _maker(kind: type[Balance] | type[SwingUp]) -> Callable[..., CartDoublePendulumVectorEnv]:
-    """Give the entry point that makes copies of one task's environment."""
+    """Return the entry point that makes copies of one task's environment."""
 
     def make(
         num_envs: int = 1,

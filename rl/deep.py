@@ -285,7 +285,7 @@ class DeepRecipe:
         return "-".join(parts).lower()
 
     def to_dict(self) -> dict[str, Any]:
-        """Give all fields as plain values, for records."""
+        """Return all fields as plain values, for records."""
         return {each.name: getattr(self, each.name) for each in fields(self)} | {"rig": self.rig.to_dict()}
 
 
@@ -326,7 +326,7 @@ class DeepTraining:
 
 
 def training_envs(recipe: DeepRecipe) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """Give the environments that a recipe is trained in: copies that begin anew in the step that ends an episode.
+    """Return the environments that a recipe is trained in: copies that begin anew in the step that ends an episode.
 
     Parameters
     ----------
@@ -356,7 +356,7 @@ def training_envs(recipe: DeepRecipe) -> gym.vector.VectorEnv[Any, Any, Any]:
         mixture: Sequence[Balance | SwingUp] = [task]
     else:
         task = SwingUp()
-        mixture = [SwingUp(start=start, spread=0.1) for start in ("hanging", "side")]
+        mixture = [SwingUp(start=start, angle_spread=0.1) for start in ("hanging", "side")]
         if recipe.starts == "mixed":
             mixture = [*mixture, Balance(lam=recipe.near), SwingUp(start="anywhere")]
     shaped = Shaped(task=task, rig=rig, mixture=mixture, steps=max(round(recipe.episode / recipe.period), 1))
@@ -379,7 +379,7 @@ def swing_up_starts(rng: np.random.Generator, n: int, rig: Rig) -> Array:
     -------
     ndarray (n, 6)
     """
-    halves = [SwingUp(start=start, spread=0.05).starts(rng, size, rig) for start, size in _halves(n)]
+    halves = [SwingUp(start=start, angle_spread=0.05).starts(rng, size, rig) for start, size in _halves(n)]
     return np.concatenate(halves)
 
 
@@ -388,7 +388,7 @@ def _halves(n: int) -> list[tuple[str, int]]:
 
 
 def evaluate(policy: Controller, task: str, rig: Rig, n: int, seed: int | Sequence[int]) -> tuple[float, float]:
-    """Give success and mean variation of a policy from fresh starts.
+    """Return success and mean variation of a policy from fresh starts.
 
     Parameters
     ----------
@@ -426,7 +426,7 @@ def evaluate(policy: Controller, task: str, rig: Rig, n: int, seed: int | Sequen
 
 
 def _returns(network: Network, env: str, episodes: int) -> tuple[float, float]:
-    """Give the share of episodes that last, and the mean return, in another environment."""
+    """Return the share of episodes that last, and the mean return, in another environment."""
     single = gym.make(env)
     box = single.action_space
     assert isinstance(box, gym.spaces.Box)
@@ -532,7 +532,7 @@ def train_deep(
 
 
 def learner_class(recipe: DeepRecipe) -> Callable[[DeepRecipe, int], Any]:
-    """Give what trains a recipe; importing it takes torch or JAX."""
+    """Return what trains a recipe; importing it takes torch or JAX."""
     if recipe.library == "jax":
         from .sb3_jax import Learner
     else:
@@ -543,7 +543,7 @@ def learner_class(recipe: DeepRecipe) -> Callable[[DeepRecipe, int], Any]:
 def _policy(
     recipe: DeepRecipe, seed: int, command: str, network: Network, evaluation: Evaluation | None
 ) -> MLPPolicy | Network:
-    """Give the controller that a network is, with its provenance; of another environment, the network alone."""
+    """Return the controller that a network is, with its provenance; of another environment, the network alone."""
     about = {
         "name": recipe.name,
         "recipe": recipe.to_dict(),

@@ -72,7 +72,7 @@ def make_value_features(wrap_angle=wrap_angle):
 
 
 def slope_features(x):
-    r"""Give :math:`\psi(s)`, the six factors of the action, for a state that unpacks to six numbers."""
+    r"""Return :math:`\psi(s)`, the six factors of the action, for a state that unpacks to six numbers."""
     pos, th1, th2, vel, om1, om2 = x
     return pos, vel, th1, om1, th2, om2
 
@@ -82,13 +82,13 @@ QUADRATIC = tuple(f"{first} {second}" for i, first in enumerate((*NAMES, "a")) f
 
 
 def quadratic_features(z: Array) -> Array:
-    r"""Give the products :math:`z_i z_j`, :math:`i \le j`, of vectors: ``(..., k)`` to ``(..., k (k + 1) / 2)``."""
+    r"""Return the products :math:`z_i z_j`, :math:`i \le j`, of vectors: ``(..., k)`` to ``(..., k (k + 1) / 2)``."""
     i, j = np.triu_indices(z.shape[-1])
     return z[..., i] * z[..., j]
 
 
 def quadratic_form(w: npt.NDArray[np.floating]) -> Array:
-    r"""Give the symmetric :math:`H` with :math:`z^\top H z = w^\top x(z)` over the quadratic features.
+    r"""Return the symmetric :math:`H` with :math:`z^\top H z = w^\top x(z)` over the quadratic features.
 
     Parameters
     ----------

@@ -62,7 +62,7 @@ class TableOneMean:
         self.indicators = indicators
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         value_features, v, indicators = features.make_value_features(), self.v, self.indicators
         return lambda t, y: np.einsum("i,ij->j", v, np.stack([*value_features(y.T), *_indicators(y, indicators)]))
 
@@ -277,7 +277,7 @@ class GaussianQAC:
         indicators: str = "none",
         max_episodes: int = 2000,
     ) -> GaussianQAC:
-        r"""Give the report's learner to the letter, with a choice of what the report tried.
+        r"""Return the report's learner to the letter, with a choice of what the report tried.
 
         The cost is that of the code published with it, and link 1 alone falls.
 
@@ -309,7 +309,7 @@ class GaussianQAC:
 
     @classmethod
     def tuned(cls, rig: Rig) -> GaussianQAC:
-        """Give the learner with the deviations that ``docs/gaussian-qac.md`` numbers.
+        """Return the learner with the deviations that ``docs/gaussian-qac.md`` numbers.
 
         The numbers were tuned on the preset ``gustafsson2016``; on another rig they are a start.
 
@@ -469,7 +469,7 @@ class _Critic:
         self.w = np.zeros(29 if deviations.critic == "quadratic" else 18)
 
     def features(self, z: Array, variance: float | npt.NDArray[np.float64] = 0.0) -> Array:
-        r"""Give the mean of :math:`x(s, a)` for actions of a mean, the last of ``z``, and a variance."""
+        r"""Return the mean of :math:`x(s, a)` for actions of a mean, the last of ``z``, and a variance."""
         if self.deviations.critic == "quadratic":
             x = np.column_stack([quadratic_features(z), np.ones(len(z))])
             x[:, 27] += variance
@@ -500,7 +500,7 @@ class _Critic:
             self.w = np.linalg.lstsq(A, x.T @ cost / sizes, rcond=None)[0] / sizes
 
     def gradient(self, z: Array, v: Array, sigma: float, new: int) -> Array:
-        r"""Give the direction of greatest growth of the cost over :math:`v`, in units of :math:`\sigma^2`."""
+        r"""Return the direction of greatest growth of the cost over :math:`v`, in units of :math:`\sigma^2`."""
         d, s = self.deviations, z[:, :6]
         if not d.closed_form:  # the report's own: score times q, over the actions taken under this policy
             score = (z[-new:, 6] - s[-new:] @ v)[:, None] * s[-new:] / sigma**2
@@ -554,7 +554,7 @@ def _check(learner: GaussianQAC) -> None:
 
 
 def ablations(rig: Rig) -> dict[str, GaussianQAC]:
-    """Give the tuned learner without one of its deviations each, by the words that tell which.
+    """Return the tuned learner without one of its deviations each, by the words that tell which.
 
     Parameters
     ----------
@@ -658,7 +658,7 @@ def _mean(v, phi):
 def _run_episodes(v, w, settings, coefficients, streak, rng, lengths, rewards, succeeded, history):
     """Run Algorithm 2 for some episodes, changing ``v`` and ``w`` in place; stop early at the streak or at overflow.
 
-    Gives the episodes completed, the successes in a row at their end, and whether the weights are still finite.
+    Returns the episodes completed, the successes in a row at their end, and whether the weights are still finite.
     """
     s = settings
     c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]
@@ -714,7 +714,7 @@ def _run_episodes(v, w, settings, coefficients, streak, rng, lengths, rewards, s
 def _draw_episode(K, sigma, settings, coefficients, rng, z, following):
     """Fill in an episode's states and actions, and the states that followed, under -Kx and noise.
 
-    Gives its length, and whether it ended before its time.
+    Returns its length, and whether it ended before its time.
     """
     s = settings
     c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]

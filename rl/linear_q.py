@@ -169,7 +169,7 @@ class LinearQLearning:
 
     @classmethod
     def published(cls, rig: Rig, *, task: Balance | None = None, cart_features: bool = True) -> LinearQLearning:
-        """Give the report's learner to the letter; what the report leaves unstated may be chosen.
+        """Return the report's learner to the letter; what the report leaves unstated may be chosen.
 
         Parameters
         ----------
@@ -186,7 +186,7 @@ class LinearQLearning:
 
     @classmethod
     def tuned(cls, rig: Rig, *, select: bool = True) -> LinearQLearning:
-        """Give the same algorithm and features with the deviations that ``docs/linear-q-learning.md`` numbers.
+        """Return the same algorithm and features with the deviations that ``docs/linear-q-learning.md`` numbers.
 
         The numbers were tuned on the preset ``gustafsson2016``; on another rig they are a start.
 
@@ -306,8 +306,8 @@ class LinearQLearning:
         if isinstance(task, Balance):
             center, spread, limits, angle, hold = (0.0, 0.0), task.lam, task.angle_limits, math.inf, 0
         else:
-            rest = replace(task, spread=0.0).starts(np.random.default_rng(0), 1, rig)[0]
-            center, spread, limits = (float(rest[1]), float(rest[2])), task.spread, (math.inf, math.inf)
+            rest = replace(task, angle_spread=0.0).starts(np.random.default_rng(0), 1, rig)[0]
+            center, spread, limits = (float(rest[1]), float(rest[2])), task.angle_spread, (math.inf, math.inf)
             angle, hold = task.upright_angle, round(task.hold / rig.sample_time)
         return _Settings(
             alpha=float(self.alpha),
@@ -421,7 +421,7 @@ def _put_features(x, scales, value, slope):
 
 @inline
 def _line(w, value, slope):
-    """Give c and g of q(s, a) = c + a g."""
+    """Return c and g of q(s, a) = c + a g."""
     c = 0.0
     for i in range(12):
         c += w[i] * value[i]
@@ -433,7 +433,7 @@ def _line(w, value, slope):
 
 @inline
 def _greedy(g, forces):
-    """Give the first of the forces with the greatest a g."""
+    """Return the first of the forces with the greatest a g."""
     best = forces[0]
     for force in forces[1:]:
         if force * g > best * g:
@@ -445,7 +445,7 @@ def _greedy(g, forces):
 def _run_episodes(w, scales, forces, settings, coefficients, age, streak, rng, lengths, rewards, upright, history):
     """Run Algorithm 1 for some episodes, changing ``w`` in place; stop early at the wanted streak or at overflow.
 
-    Gives the episodes completed, the successes in a row at their end, and whether the weights are still finite.
+    Returns the episodes completed, the successes in a row at their end, and whether the weights are still finite.
     """
     s = settings
     c_ = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]

@@ -87,7 +87,7 @@ class LSPITraining:
         return self.outcome is Outcome.CONVERGED
 
     def errors(self, K: npt.ArrayLike) -> Array:
-        r"""Give :math:`\|K_i - K\| / \|K\|` of the recorded gains against another gain.
+        r"""Return :math:`\|K_i - K\| / \|K\|` of the recorded gains against another gain.
 
         Parameters
         ----------
@@ -103,7 +103,7 @@ class LSPITraining:
 
 
 def fit_q(z: Array, costs: Array, z_next: Array, gamma: float) -> Array:
-    r"""Give :math:`H` of :math:`\hat q = z^\top H z` by LSTD-Q, :math:`\sum x (x - \gamma x')^\top w = \sum x\,c`.
+    r"""Return :math:`H` of :math:`\hat q = z^\top H z` by LSTD-Q, :math:`\sum x (x - \gamma x')^\top w = \sum x\,c`.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def fit_q(z: Array, costs: Array, z_next: Array, gamma: float) -> Array:
 
 
 def greedy_gain(H: Array) -> Array | None:
-    r"""Give :math:`K = H_{aa}^{-1} H_{as}`, the gain of least :math:`z^\top H z`; None where there is no least.
+    r"""Return :math:`K = H_{aa}^{-1} H_{as}`, the gain of least :math:`z^\top H z`; None where there is no least.
 
     Parameters
     ----------
@@ -516,7 +516,7 @@ def _practise(K, exercise, coefficients, rng, state, clock, lengths, z, followin
 
 @compiled
 def _best_force(w, s, unit, bound):
-    """Give the force of least q within a bound, for scaled states and the unit of force."""
+    """Return the force of least q within a bound, for scaled states and the unit of force."""
     b = 0.0
     k = 6
     for i in range(6):  # the product with the action ends each row of the upper triangle
@@ -532,7 +532,7 @@ def _best_force(w, s, unit, bound):
 def _learn_steps(w, scales, costs, steps, exercise, coefficients, rng, state, clock, lengths, begin, end):
     """Do one-step Q-learning on samples ``begin`` to ``end``, changing ``w`` in place; stop before overflow.
 
-    Gives whether it did not have to stop.
+    Returns whether it did not have to stop.
     """
     e, q = exercise, steps
     c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]

@@ -33,7 +33,7 @@ class Saved:
     """Where it comes from, in words and numbers."""
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Give what is saved, by name; none of objects."""
+        """Return what is saved, by name; none of objects."""
         raise NotImplementedError
 
     def save(self, path: str | Path) -> Path:
@@ -107,14 +107,14 @@ class LinearQPolicy(Saved):
         return f"<{self.name}, seed {self.about.get('seed')}, {self.about.get('outcome', 'of unknown origin')}>"
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         slope_weights = self.weights[-6:] * self.scales[-6:]
         slope_weights /= np.abs(slope_weights).max() or 1.0  # only the direction counts, and weights may be huge
         forces = self.forces
         return lambda t, y: forces[np.argmax((slope_weights @ np.stack(slope_features(y.T)))[:, None] * forces, axis=1)]
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Give what is saved, by name."""
+        """Return what is saved, by name."""
         return {"weights": self.weights, "scales": self.scales, "forces": self.forces}
 
 
@@ -145,13 +145,13 @@ class GainPolicy(Saved):
         return f"<{self.name}, K = {np.array2string(self.K, precision=4, separator=', ')}>"
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         K = self.K
         # A matrix product would round a row differently in batches of different size.
         return lambda t, y: -np.einsum("ij,j->i", nearest_upright(y), K)
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Give what is saved, by name."""
+        """Return what is saved, by name."""
         return {"K": self.K}
 
 
@@ -232,7 +232,7 @@ class Network(Saved):
         return f"<network {'-'.join(str(n) for n in (self.inputs, *map(len, self.biases)))}, {self.activation}>"
 
     def __call__(self, observations: Array) -> Array:
-        """Give actions ``(n, outputs)``, within -1 and 1, for observations ``(n, inputs)``."""
+        """Return actions ``(n, outputs)``, within -1 and 1, for observations ``(n, inputs)``."""
         actions = np.empty((len(observations), self.outputs))
         rows = max(_SMALL_PRODUCT // max(weight.size for weight in self.weights), 1)
         for start in range(0, len(observations), rows):
@@ -249,7 +249,7 @@ class Network(Saved):
         return _SQUASHES[self.squash](h @ self.weights[-1].T + self.biases[-1])
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Give what is saved, by name."""
+        """Return what is saved, by name."""
         layers = {f"weight{i}": _shortest(weight) for i, weight in enumerate(self.weights)}
         layers |= {f"bias{i}": _shortest(bias) for i, bias in enumerate(self.biases)}
         return layers | {"activation": np.array(self.activation), "squash": np.array(self.squash)}
@@ -327,7 +327,7 @@ class MLPPolicy(Saved):
         return f"<{self.name}, {self.network!r}, seed {self.about.get('seed')}>"
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         network, scales, force_limit, period = self.network, self.scales, self.force_limit, self.period
         recalls = network.inputs == 9
         last = np.zeros(n)
@@ -343,7 +343,7 @@ class MLPPolicy(Saved):
         return act
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Give what is saved, by name."""
+        """Return what is saved, by name."""
         return self.network.arrays() | {
             "scales": self.scales,
             "force_limit": np.array(self.force_limit),
@@ -430,7 +430,7 @@ def _checksum(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
 
 
 def _shortest(array: Array) -> npt.NDArray[np.floating[Any]]:
-    """Give an array in single precision where that loses nothing, as of what was learned in it."""
+    """Return an array in single precision where that loses nothing, as of what was learned in it."""
     single = array.astype(np.float32)
     return single if (single == array).all() else array
 

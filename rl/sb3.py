@@ -120,7 +120,7 @@ class Copies(VecEnv):
         self._envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """Give an attribute of every copy; here, that there is nothing to render."""
+        """Return an attribute of every copy; here, that there is nothing to render."""
         if attr_name == "render_mode":
             return [None] * self.num_envs
         raise AttributeError(attr_name)
@@ -134,7 +134,7 @@ class Copies(VecEnv):
         raise AttributeError(method_name)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Tell that no copy is wrapped."""
+        """Return that no copy is wrapped."""
         return [False] * self.num_envs
 
 
@@ -161,7 +161,7 @@ class PairedBuffer(RolloutBuffer):
     """PPO's buffer, where each observation comes with the next of its episode, or with itself at the end."""
 
     def get(self, batch_size: int | None = None) -> Iterator[RolloutBufferSamples]:  # type: ignore[override]
-        """Give shuffled batches."""
+        """Return shuffled batches."""
         if not self.generator_ready:
             following = np.roll(self.observations, -1, axis=0)
             over = np.roll(self.episode_starts, -1, axis=0) > 0
@@ -189,7 +189,7 @@ class CAPSPolicy(ActorCriticPolicy):
         super().__init__(*args, **kwargs)
 
     def evaluate_actions(self, obs: Any, actions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Give values, log-probabilities, and minus the loss of CAPS, for pairs of observations."""
+        """Return values, log-probabilities, and minus the loss of CAPS, for pairs of observations."""
         now, following = obs.chunk(2, dim=1)
         values, log_prob, _ = super().evaluate_actions(now, actions)
         temporal, spatial, deviation = self._caps
@@ -203,7 +203,7 @@ class CAPSPolicy(ActorCriticPolicy):
 
 
 def _normalised(critic: ContinuousCritic, width: int, net: Sequence[int]) -> ContinuousCritic:
-    """Give a critic whose hidden layers are normalised before they are activated."""
+    """Return a critic whose hidden layers are normalised before they are activated."""
     for i in range(len(critic.q_networks)):
         layers = create_mlp(width, 1, list(net), torch.nn.ReLU, post_linear_modules=[torch.nn.LayerNorm])
         critic.q_networks[i] = torch.nn.Sequential(*layers)
@@ -215,7 +215,7 @@ class NormalisedTD3Policy(TD3Policy):
     """Actor and critics of DDPG and TD3, with layer normalisation in the critics."""
 
     def make_critic(self, features_extractor: Any = None) -> ContinuousCritic:
-        """Give a critic."""
+        """Return a critic."""
         critic = super().make_critic(features_extractor)
         return _normalised(critic, _width(self), cast(Any, self.net_arch))
 
@@ -224,7 +224,7 @@ class NormalisedSACPolicy(SACPolicy):
     """Actor and critics of SAC, with layer normalisation in the critics."""
 
     def make_critic(self, features_extractor: Any = None) -> ContinuousCritic:
-        """Give a critic."""
+        """Return a critic."""
         critic = super().make_critic(features_extractor)
         return _normalised(critic, _width(self), cast(Any, self.net_arch))
 
@@ -289,7 +289,7 @@ class Learner:
         return model
 
     def _shared(self) -> dict[str, Any]:
-        """Give what all algorithms are told."""
+        """Return what all algorithms are told."""
         recipe = self._recipe
         first, last = recipe.learning_rate
 
@@ -306,7 +306,7 @@ class Learner:
         }
 
     def _off_policy(self) -> dict[str, Any]:
-        """Give what DDPG, TD3 and SAC are told."""
+        """Return what DDPG, TD3 and SAC are told."""
         recipe = self._recipe
         size = int(np.prod(self._env.action_space.shape or ()))
         return {
@@ -331,11 +331,11 @@ class Learner:
         self._model.learn(steps, reset_num_timesteps=False)
 
     def act(self, observations: Any) -> Any:
-        """Give the model's own deterministic actions, within -1 and 1."""
+        """Return the model's own deterministic actions, within -1 and 1."""
         return self._model.predict(observations, deterministic=True)[0]
 
     def network(self) -> Network:
-        """Give the actor as plain arrays."""
+        """Return the actor as plain arrays."""
         policy = self._model.policy
         if self._recipe.algo == "ppo":
             layers = [*policy.mlp_extractor.policy_net, policy.action_net]
@@ -391,7 +391,7 @@ class Learner:
         return beside
 
     def _learned(self) -> dict[str, Any]:
-        """Give all that updates have changed."""
+        """Return all that updates have changed."""
         model = self._model
         learned: dict[str, Any] = {
             "policy": model.policy.state_dict(),
@@ -424,7 +424,7 @@ _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "
 
 
 def plain(thing: Any) -> Any:
-    """Give what torch reads back without running code: tensors, numbers, words, and lists and dicts of them."""
+    """Return what torch reads back without running code: tensors, numbers, words, and lists and dicts of them."""
     if isinstance(thing, dict):
         return {key: plain(value) for key, value in thing.items()}
     if isinstance(thing, list | tuple):
@@ -435,7 +435,7 @@ def plain(thing: Any) -> Any:
 
 
 def arrays(thing: Any) -> Any:
-    """Give the same with arrays in place of tensors."""
+    """Return the same with arrays in place of tensors."""
     if isinstance(thing, dict):
         return {key: arrays(value) for key, value in thing.items()}
     return thing.numpy() if isinstance(thing, torch.Tensor) else thing

@@ -28,7 +28,7 @@ _adam = optax.inject_hyperparams(optax.adam)  # whose rate can be set at any tim
 
 
 def _states(model: Any) -> dict[str, Any]:
-    """Give all of a model that learns, by the names of its attributes."""
+    """Return all of a model that learns, by the names of its attributes."""
     states = {"actor_state": model.policy.actor_state, "qf_state": model.policy.qf_state}
     if hasattr(model, "ent_coef_state"):
         states["ent_coef_state"] = model.ent_coef_state
@@ -83,7 +83,7 @@ class Learner(sb3.Learner):
         return model
 
     def network(self) -> Network:
-        """Give the actor as plain arrays."""
+        """Return the actor as plain arrays."""
         layers = self._model.policy.actor_state.params["params"]
         dense = [layers[f"Dense_{i}"] for i in range(len(self._recipe.net) + 1)]  # SAC's spread has one more
         return Network(

@@ -27,7 +27,7 @@ _FAILURE_COST = 5.0
 
 
 def observation_scales(rig: Rig) -> Array:
-    r"""Give :math:`(s_p, s_v, s_\omega, s_\omega)` of a single rig, in m, m/s and rad/s.
+    r"""Return :math:`(s_p, s_v, s_\omega, s_\omega)` of a single rig, in m, m/s and rad/s.
 
     Parameters
     ----------
@@ -45,12 +45,12 @@ def observation_scales(rig: Rig) -> Array:
 
 
 def nearness(cos1: Array, cos2: Array) -> Array:
-    r"""Give :math:`e^{-5(2 - \cos\theta_1 - \cos\theta_2)}`: one upright, nothing far from it."""
+    r"""Return :math:`e^{-5(2 - \cos\theta_1 - \cos\theta_2)}`: one upright, nothing far from it."""
     return np.exp(-5.0 * (2.0 - cos1 - cos2))
 
 
 def observe(y: Array, scales: Array, last: Array | None = None) -> Array:
-    r"""Give :math:`o(y)`, with the last action behind it where there is one.
+    r"""Return :math:`o(y)`, with the last action behind it where there is one.
 
     Parameters
     ----------
@@ -114,15 +114,15 @@ class Shaped:
         return drawn[rng.integers(len(drawn), size=n), np.arange(n)]
 
     def ended(self, x: Array, rig: Rig) -> Codes:
-        """Give the status codes of the task."""
+        """Return the status codes of the task."""
         return self.task.ended(x, rig)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Tell which states have both links up, as the task does."""
+        """Return which states have both links up, as the task does."""
         return self.task.upright(x)
 
     def cost(self, x: Array, codes: Codes) -> Array:
-        """Give minus the reward of arriving in states ``(n, 6)`` with those status codes."""
+        """Return minus the reward of arriving in states ``(n, 6)`` with those status codes."""
         cos1, cos2 = np.cos(x[:, 1]), np.cos(x[:, 2])
         height = 0.5 + 0.5 * (self._shares[0] * cos1 + self._shares[1] * cos2)
         rates = x[:, 4:] / self._scales[2:]

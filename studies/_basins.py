@@ -26,7 +26,7 @@ _RIM, _SHADES = "#d0d0d0", colormaps["Blues"]
 
 
 def starts(side: int) -> Array:
-    """Give the states at rest of a map, ``(side * side, 6)``, row by row: θ2 first, then θ1."""
+    """Return the states at rest of a map, ``(side * side, 6)``, row by row: θ2 first, then θ1."""
     th2, th1 = np.meshgrid(*2 * [np.linspace(-EXTENT, EXTENT, side)], indexing="ij")
     x = np.zeros((side * side, 6))
     x[:, 1], x[:, 2] = th1.ravel(), th2.ravel()
@@ -34,13 +34,13 @@ def starts(side: int) -> Array:
 
 
 def basin(controller: dpend.Controller, side: int, seed: int) -> npt.NDArray[np.bool_]:
-    """Give where a controller balances ``gustafsson2016``: a map ``(side, side)`` of truth values, by θ2 and θ1."""
+    """Return where a controller balances ``gustafsson2016``: a map ``(side, side)`` of truth values, by θ2 and θ1."""
     runs = dpend.simulate_many(recoverable.RIG, controller, starts(side), task=dpend.Balance(), seed=seed)
     return runs.success.reshape(side, side)
 
 
 def part_saved(saved: npt.NDArray[Any]) -> float:
-    """Give the share of what can be saved that a basin ``(side, side)`` holds, by area; of several trainings, the mean.
+    """Return share of what can be saved that a basin ``(side, side)`` holds, by area; of several trainings, the mean.
 
     What can be saved is where the least force, linear between the points of ``recoverable``'s map, is within the limit.
     """
@@ -85,7 +85,7 @@ def plot_basins(basins: Mapping[str, Array], columns: int = 4) -> Figure:
 
 
 def _shade(share: Any) -> Any:
-    """Give the place of a share in the colours, of which the palest are left out."""
+    """Return the place of a share in the colours, of which the palest are left out."""
     return 0.2 + 0.7 * share
 
 

@@ -15,7 +15,18 @@ from types import ModuleType
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import dpend
-from controllers import ILQRMPC, LQR, NMPC, SDRE, TVLQR, BangBang, Catch, EnergyPump, EnergySwingUp, shipped
+from controllers import (
+    ILQRMPC,
+    LQR,
+    NMPC,
+    SDRE,
+    TVLQR,
+    BangBang,
+    EnergyPump,
+    EnergySwingUp,
+    SwitchingController,
+    shipped,
+)
 from dpend import Balance, Controller, Rig, SwingUp
 from dpend.controller import check_controller, is_batched
 from dpend.provenance import fingerprint
@@ -62,7 +73,7 @@ class Entrant:
     name : str
         How tables call it.
     make : callable
-        Gives the controller for what is believed of the rig, and for a task.
+        Returns the controller for what is believed of the rig, and for a task.
     tasks : tuple of str
         What it can do at all: "balance", "swing-up".
     told : Told
@@ -72,7 +83,7 @@ class Entrant:
     part : float
         Share of the runs that it meets, the first of all, because each takes long.
     learner : callable, optional
-        Gives a learner that is trained in seconds, so that a study may train it anew.
+        Returns a learner that is trained in seconds, so that a study may train it anew.
     policy : str
         Name of the policy that is shipped, of a learner.
     trainings : str
@@ -93,7 +104,7 @@ class Entrant:
     source: str = ""
 
     def runs(self, n: int) -> int:
-        """Give how many of ``n`` runs it meets; at least twenty, if there are so many."""
+        """Return how many of ``n`` runs it meets; at least twenty, if there are so many."""
         return min(n, max(round(self.part * n), 20))
 
 
@@ -127,7 +138,9 @@ def _follower(rig: Rig, task: Balance | SwingUp) -> Controller:
 
 def _planned_last_swing(rig: Rig, task: Balance | SwingUp) -> Controller:
     """Pump energy, plan the last swing with little ahead in view, and balance."""
-    return Catch(rig, Catch(rig, EnergyPump(rig), ILQRMPC(rig, horizon=40, starts=4)), LQR(rig))
+    return SwitchingController(
+        rig, SwitchingController(rig, EnergyPump(rig), ILQRMPC(rig, horizon=40, starts=4)), LQR(rig)
+    )
 
 
 BOTH: tuple[Task, ...] = ("balance", "swing-up")
@@ -158,7 +171,7 @@ ENTRANTS: tuple[Entrant, ...] = (
     ),
     Entrant(
         name="passivity, LQR",
-        make=lambda rig, task: Catch(rig, EnergySwingUp(rig)),
+        make=lambda rig, task: SwitchingController(rig, EnergySwingUp(rig)),
         tasks=("swing-up",),
         told=_ENERGY,
         style=("#8C6D1F", "v", ":"),
@@ -166,7 +179,7 @@ ENTRANTS: tuple[Entrant, ...] = (
     ),
     Entrant(
         name="pumping, LQR",
-        make=lambda rig, task: Catch(rig, EnergyPump(rig)),
+        make=lambda rig, task: SwitchingController(rig, EnergyPump(rig)),
         tasks=("swing-up",),
         told=_ENERGY,
         style=("#E69F00", "v", "-."),
@@ -241,7 +254,7 @@ _OWN: tuple[Style, ...] = (
 
 
 def styles(names: Iterable[str], known: Iterable[Entrant] = ENTRANTS) -> dict[str, Style]:
-    """Give colour, marker and line style of each who takes part, in the order of those known; users' own come last.
+    """Return colour, marker and line style of each who takes part, in the order of those known; users' own come last.
 
     Parameters
     ----------
@@ -286,7 +299,7 @@ class Options(_study.Options):
             self.entrant(name)
 
     def entrants(self, task: Task) -> list[Entrant]:
-        """Give those that do a task and were not left out, the user's own last.
+        """Return those that do a task and were not left out, the user's own last.
 
         Parameters
         ----------
@@ -301,7 +314,7 @@ class Options(_study.Options):
         return [entrant for entrant in (*chosen, *map(own, self.controller)) if task in entrant.tasks]
 
     def entrant(self, name: str) -> Entrant:
-        """Give one by its name.
+        """Return one by its name.
 
         Raises
         ------

@@ -21,7 +21,7 @@ class Rate(NamedTuple):
 
 
 def wilson(successes: int, n: int) -> Rate:
-    r"""Give the Wilson score interval of :math:`s/n`.
+    r"""Return the Wilson score interval of :math:`s/n`.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def wilson(successes: int, n: int) -> Rate:
 
 
 def over_seeds(successes: npt.ArrayLike, n: int) -> Rate:
-    """Give the mean success of several trained controllers, the training being the unit of replication.
+    """Return the mean success of several trained controllers, the training being the unit of replication.
 
     The interval is Student's over trainings, cut off at 0 and 1, or the Wilson interval of all episodes taken together
     where that is wider, as when every controller has the same count.  The bootstrap is too narrow for ten trainings.
@@ -71,7 +71,7 @@ class Median(NamedTuple):
 
 
 def median(values: npt.ArrayLike) -> Median:
-    """Give the median of values with the interval between two of them that holds the true one, whatever they are like.
+    """Return median of values with the interval between two of them that holds the true one, whatever they are like.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Crossing(NamedTuple):
 def crossing(
     levels: npt.ArrayLike, outcomes: npt.ArrayLike, share: float = 0.5, *, resamples: int = 1000, seed: int = 0
 ) -> Crossing:
-    r"""Give the level at which success falls to a share, such as :math:`\lambda_{50}` or :math:`\lambda_{90}`.
+    r"""Return the level at which success falls to a share, such as :math:`\lambda_{50}` or :math:`\lambda_{90}`.
 
     The curve is the best that never rises (isotonic), logistic between levels, so that it is exact where success is a
     logistic function of the level, and free to have a plateau where it is not.  The interval is the bootstrap's over
@@ -160,7 +160,7 @@ def crossing(
 
 
 def _crossed(levels: Array, curves: Array, share: float, n: int) -> Array:
-    """Give where curves, made to fall, cross a share; half a success and half a failure keep their logits finite."""
+    """Return where curves, made to fall, cross a share; half a success and half a failure keep their logits finite."""
     falling = falling_fit(curves)
     below = falling < share - 1e-12  # a mean that should equal the share may miss it by rounding
     after = np.clip(np.argmax(below, axis=1), 1, None)
@@ -175,7 +175,7 @@ def _crossed(levels: Array, curves: Array, share: float, n: int) -> Array:
 
 
 def falling_fit(curves: Array) -> Array:
-    r"""Give the curves that never rise and are nearest in least squares, a row each.
+    r"""Return the curves that never rise and are nearest in least squares, a row each.
 
     It is :math:`\hat y_i = \min_{a \le i} \max_{b \ge i} \bar y_{a..b}`, for many short curves at once.
 
@@ -219,7 +219,7 @@ def worst_cases(
     resamples: int = 1000,
     seed: int = 0,
 ) -> Tail:
-    r"""Give the conditional value at risk: the mean of the worst share of cases.
+    r"""Return the conditional value at risk: the mean of the worst share of cases.
 
     Parameters
     ----------

@@ -119,25 +119,25 @@ def _placed(
 
 
 def _overlap(centres: Array, half: Array, box: Array) -> npt.NDArray[np.bool_]:
-    """Tell which labels ``(n, 2)`` of one size meet a box."""
+    """Return which labels ``(n, 2)`` of one size meet a box."""
     low, high = centres - half, centres + half
     return (low[:, 0] < box[1]) & (high[:, 0] > box[0]) & (low[:, 1] < box[3]) & (high[:, 1] > box[2])
 
 
 def _inside(places: Array, box: Array) -> npt.NDArray[np.bool_]:
-    """Tell which places ``(..., 2)`` lie in a box."""
+    """Return which places ``(..., 2)`` lie in a box."""
     x, y = places[..., 0], places[..., 1]
     return (x > box[0]) & (x < box[1]) & (y > box[2]) & (y < box[3])
 
 
 def _cross_box(centres: Array, half: Array, line: Array) -> npt.NDArray[np.bool_]:
-    """Tell which labels ``(n, 2)`` of one size a line would run through."""
+    """Return which labels ``(n, 2)`` of one size a line would run through."""
     along = line[0] + (line[1] - line[0]) * _ALONG
     return (np.abs(along[:, None] - centres) < half).all(axis=-1).any(axis=0)
 
 
 def _cross(start: Array, ends: Array, first: Array, second: Array) -> npt.NDArray[np.bool_]:
-    """Tell which lines from one start to ends ``(n, 2)`` cross the line between two places."""
+    """Return which lines from one start to ends ``(n, 2)`` cross the line between two places."""
 
     def side(a: Array, b: Array, c: Array) -> Array:
         u, v = b - a, c - a

@@ -60,7 +60,7 @@ Line = Sequence[Cell]
 
 
 def markdown(columns: Sequence[Column], lines: Sequence[Line]) -> str:
-    """Give the table in Markdown.
+    """Return the table in Markdown.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def _plain(text: str) -> str:
 
 
 def terminal(title: str, columns: Sequence[Column], lines: Sequence[Line]) -> Table:
-    """Give the table for a terminal.
+    """Return the table for a terminal.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def terminal(title: str, columns: Sequence[Column], lines: Sequence[Line]) -> Ta
 
 
 def page(title: str, before: Sequence[str], columns: Sequence[Column], lines: Sequence[Line]) -> str:
-    """Give a page that stands alone: the table, sorted by a press on a heading, and what its columns mean.
+    """Return a page that stands alone: the table, sorted by a press on a heading, and what its columns mean.
 
     Nothing is fetched from anywhere; without JavaScript the table is there all the same, in the order given.
 

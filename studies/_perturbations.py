@@ -80,7 +80,7 @@ out."""
 
 
 def _resolved(params: dpend.Params) -> dict[str, float]:
-    """Give masses, lengths, centres and inertias, none left to follow another."""
+    """Return masses, lengths, centres and inertias, none left to follow another."""
     (com1, com2), (inertia1, inertia2) = params.centers, params.inertias
     named = {name: getattr(params, name) for name in ("cart_mass", "mass1", "mass2", "length1")}
     named |= {"com1": com1, "com2": com2, "inertia1": inertia1, "inertia2": inertia2}
@@ -101,7 +101,7 @@ def _rubbing(name: str) -> Change:
 
 
 def lag(response: npt.ArrayLike) -> Array:
-    r"""Give the time constant, s, with which a force moves by a share :math:`k` of what is missing in each sample.
+    r"""Return the time constant, s, with which a force moves by a share :math:`k` of what is missing in each sample.
 
     RealAIGym's :math:`u = u_- + k\,(u_\text{des} - u_-)` is :math:`k = 1 - e^{-T/\tau}`.
 
@@ -194,7 +194,7 @@ class Pulses:
         )
 
     def pushing(self, levels: Array) -> Callable[[float], Array]:
-        """Give the pushes ``(starts * L, 3)`` over time at ``L`` levels, start by start."""
+        """Return the pushes ``(starts * L, 3)`` over time at ``L`` levels, start by start."""
         largest = levels[:, None, None] * LARGEST_PULSE[:, None] * self.signs[:, None]
 
         def push(t: float) -> Array:
@@ -205,9 +205,11 @@ class Pulses:
 
 
 def task_of(task: Task, seconds: float = SECONDS) -> Balance | SwingUp:
-    """Give a task: balance from λ = 0.1, or swing up from hanging, both angles moved by up to 0.1 rad."""
+    """Return a task: balance from λ = 0.1, or swing up from hanging, both angles moved by up to 0.1 rad."""
     steps = round(seconds / RIG.sample_time)
-    return Balance(lam=0.1, steps=steps) if task == "balance" else SwingUp(start="hanging", spread=0.1, steps=steps)
+    return (
+        Balance(lam=0.1, steps=steps) if task == "balance" else SwingUp(start="hanging", angle_spread=0.1, steps=steps)
+    )
 
 
 def _starts(task: Balance | SwingUp, n: int, seed: int) -> Array:
@@ -280,7 +282,7 @@ def of_groups(outcomes: Mapping[str, Array], axes: Iterable[Axis] = AXES) -> dic
 
 
 def score(outcomes: Mapping[str, Array]) -> Rate:
-    """Give one number for robustness: success in perturbed settings, the mean over the six axes.
+    """Return one number for robustness: success in perturbed settings, the mean over the six axes.
 
     Parameters
     ----------
@@ -305,7 +307,7 @@ def score(outcomes: Mapping[str, Array]) -> Rate:
 
 
 def mean_share(shares: npt.ArrayLike, runs: int) -> Rate:
-    """Give the mean over starts of a share of successes, the start being the unit of replication.
+    """Return the mean over starts of a share of successes, the start being the unit of replication.
 
     Parameters
     ----------
@@ -327,7 +329,7 @@ def mean_share(shares: npt.ArrayLike, runs: int) -> Rate:
 
 
 def realaigym(outcomes: Mapping[str, Array]) -> float:
-    """Give the score as RealAIGym counts it, to be read beside its leaderboard with care.
+    """Return the score as RealAIGym counts it, to be read beside its leaderboard with care.
 
     A setting counts whole if more than half of its runs succeed, and the mean is over the six axes.  The nominal level
     counts as one setting of 21 where RealAIGym has it in its lists, which is in all but the response and the pulses.
@@ -420,7 +422,7 @@ def meet_plants(controller: Controller, task: Balance | SwingUp, n: int, starts:
 
 
 def encoders(counts: npt.ArrayLike) -> Array:
-    """Give the steps of encoders of so many counts a turn; the cart's sits on a pulley of 0.2 m a turn.
+    """Return the steps of encoders of so many counts a turn; the cart's sits on a pulley of 0.2 m a turn.
 
     Parameters
     ----------
@@ -473,7 +475,7 @@ others have positions only, and know plant, noise, rounding, delay and lag."""
 
 
 def views(axis: Axis) -> tuple[str, ...]:
-    """Give the names of the views that differ on an axis: prediction does something only about delay."""
+    """Return the names of the views that differ on an axis: prediction does something only about delay."""
     return tuple(name for name in VIEWS if "Predictor" not in name or axis.name == "delay")
 
 

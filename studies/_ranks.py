@@ -94,7 +94,7 @@ def ranking(criteria: Sequence[Sequence[Quotient]], *, resamples: int = 2000, se
 
 
 def _values(criteria: Sequence[Quotient], weights: Array) -> Array:
-    """Give the quotients ``(samples, criteria)``; minus infinite where there is nothing to divide by."""
+    """Return the quotients ``(samples, criteria)``; minus infinite where there is nothing to divide by."""
     m = weights.shape[1]
     values = np.empty((len(weights), len(criteria)))
     for column, parts in enumerate(criteria):
@@ -104,7 +104,7 @@ def _values(criteria: Sequence[Quotient], weights: Array) -> Array:
 
 
 def _precedes(values: Array) -> npt.NDArray[np.bool_]:
-    """Tell which of values ``(samples, k, criteria)`` come before which, ``(samples, k, k)``."""
+    """Return which of values ``(samples, k, criteria)`` come before which, ``(samples, k, k)``."""
     better = np.zeros((*values.shape[:2], values.shape[1]), dtype=np.bool_)
     equal = np.ones_like(better)
     for criterion in np.moveaxis(values, 2, 0):

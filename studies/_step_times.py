@@ -53,7 +53,7 @@ class StepTimes(NamedTuple):
         return cls(np.stack(counts).sum(axis=0), float(max(longest)), int(sum(late)), np.concatenate(first))
 
     def traces(self) -> dict[str, Array]:
-        """Give what a job saves."""
+        """Return what a job saves."""
         return {name: np.asarray(value) for name, value in zip(_NAMES, self, strict=True)}
 
     @property
@@ -62,7 +62,7 @@ class StepTimes(NamedTuple):
         return int(self.counts.sum())
 
     def quantile(self, share: float) -> float:
-        """Give the time within which a share of all steps ends, s: the upper limit of its bin."""
+        """Return the time within which a share of all steps ends, s: the upper limit of its bin."""
         within = np.cumsum(self.counts) >= share * self.steps
         return min(float(EDGES[1 + int(np.argmax(within))]), self.longest)
 

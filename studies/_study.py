@@ -298,7 +298,7 @@ def _key(name: str, job: Job, options: Options) -> str:
 
 
 def slug(job: Job) -> str:
-    """Give the name under which a job's file and traces are kept."""
+    """Return the name under which a job's file and traces are kept."""
     return re.sub(r"[\s/\\|:]", "_", f"{job.setting}-{job.repetition}")
 
 
@@ -337,7 +337,7 @@ def read_rows(file: Path, row_type: type[Any]) -> list[Any]:
 
 
 def kept_table(name: str) -> Path:
-    """Give the ``rows.csv`` of a study that is shipped: in the package where it is installed, else in docs/results.
+    """Return the ``rows.csv`` of a study that is shipped: in the package where it is installed, else in docs/results.
 
     Parameters
     ----------
@@ -371,7 +371,7 @@ def read_traces(file: Path) -> Traces:
 
 
 def studies() -> Iterator[str]:
-    """Give the names of the modules in this folder that are studies."""
+    """Return the names of the modules in this folder that are studies."""
     for file in sorted(Path(__file__).parent.glob("*.py")):
         if not file.stem.startswith("_"):
             yield f"studies.{file.stem}"

@@ -207,7 +207,7 @@ def _balancing(rig: dpend.Rig, controller: dpend.Controller, n: int, seed: int) 
 
 
 def least_variation(rig: dpend.Rig, x0: Array) -> float:
-    r"""Give the least variation of a force that balances the linearised plant, in force limits per second.
+    r"""Return the least variation of a force that balances the linearised plant, in force limits per second.
 
     .. math:: \min_u \frac{1}{T u_\max}\sum_{k=1}^{N-1} |u_k - u_{k-1}|
               \quad\text{with}\quad x_{k+1} = A x_k + B u_k,\ |u_k| \le u_\max,
@@ -253,7 +253,7 @@ def least_variation(rig: dpend.Rig, x0: Array) -> float:
 
 
 def shipped() -> list[Row]:
-    """Give the table of trainings that is shipped."""
+    """Return the table of trainings that is shipped."""
     rows: list[Row] = _study.read_rows(_study.kept_table("deep_swing_up"), Row)
     return rows
 
@@ -284,7 +284,7 @@ def plot(rows: list[Row], traces: Traces) -> Figure:
 
 
 def _median(traces: list[dict[str, Array]]) -> tuple[Array, Array]:
-    """Give the median over trainings; one that was good enough and ended counts on with its last evaluation."""
+    """Return the median over trainings; one that was good enough and ended counts on with its last evaluation."""
     longest = max((trace["steps"] for trace in traces), key=len)
     columns = [np.pad(trace["success"], (0, len(longest) - len(trace["success"])), mode="edge") for trace in traces]
     return longest, np.median(columns, axis=0)
@@ -338,7 +338,7 @@ def summary(rows: list[Row], traces: Traces) -> RenderableType:
 
 
 def _middle(values: list[float]) -> str:
-    """Give the median of what is known."""
+    """Return the median of what is known."""
     known = [value for value in values if np.isfinite(value)]
     return f"{np.median(known):.3g}" if known else "-"
 

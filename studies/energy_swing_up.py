@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 import dpend
-from controllers import LQR, Catch, Ellipsoid, EnergyPump, EnergySwingUp
+from controllers import LQR, Ellipsoid, EnergyPump, EnergySwingUp, SwitchingController
 from dpend import Controller, Rig
 from dpend.params import Array
 
@@ -45,12 +45,12 @@ class Setting(NamedTuple):
     changes: dict[str, Any]
 
 
-def _in_ellipsoid(law: type[EnergySwingUp] | type[EnergyPump], rig: Rig) -> Catch:
-    return Catch(rig, law(rig), region=Ellipsoid.calibrated(LQR(rig)))
+def _in_ellipsoid(law: type[EnergySwingUp] | type[EnergyPump], rig: Rig) -> SwitchingController:
+    return SwitchingController(rig, law(rig), region=Ellipsoid.calibrated(LQR(rig)))
 
 
-def _ahead(law: type[EnergySwingUp] | type[EnergyPump], rig: Rig) -> Catch:
-    return Catch(rig, law(rig))
+def _ahead(law: type[EnergySwingUp] | type[EnergyPump], rig: Rig) -> SwitchingController:
+    return SwitchingController(rig, law(rig))
 
 
 SETTINGS = {
@@ -115,7 +115,7 @@ def run(job: Job, options: Options) -> Result:
     if options.quick:
         runs, duration = min(runs, 2), 2.0
     each = round(plain.sample_time / rig.sample_time)
-    task = dpend.SwingUp(spread=SPREAD)
+    task = dpend.SwingUp(angle_spread=SPREAD)
     starts = task.starts(np.random.default_rng([options.seed, 6]), runs, rig)
     done = dpend.simulate_many(rig, build(plain), starts, duration, task=task, seed=options.seed, record=True)
     assert done.x is not None  # it was asked for
@@ -140,7 +140,7 @@ def run(job: Job, options: Options) -> Result:
 
 
 def _median(values: Array) -> Array:
-    """Give the median of the runs that still go on; NaN where none does."""
+    """Return the median of the runs that still go on; NaN where none does."""
     some = ~np.isnan(values).all(axis=0)
     median = np.full(values.shape[1], np.nan)
     median[some] = np.nanmedian(values[:, some], axis=0)

@@ -186,7 +186,7 @@ def _saved(rig: dpend.Rig, controller: dpend.Controller, lam: float, part: int, 
 
 
 def _curve(rig: dpend.Rig, training: QACTraining, seed: int) -> dict[str, Array]:
-    """Give the share of 100 other starts at λ = 0.1 that the mean policy saves, every few updates."""
+    """Return the share of 100 other starts at λ = 0.1 that the mean policy saves, every few updates."""
     task = dpend.Balance(lam=LAMS[0])
     starts = task.starts(np.random.default_rng([seed, 11]), 100, rig)
     updates = range(0, len(training.gains), _EVERY)

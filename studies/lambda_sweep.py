@@ -129,7 +129,7 @@ class Options(_entrants.Options):
         return tuple(sorted(self.lam))[:: 4 if self.quick else 1]
 
     def entrants(self, task: _entrants.Task) -> list[Entrant]:
-        """Give those that take part: not what takes minutes, nor the plain rule, unless they are asked for."""
+        """Return those that take part: not what takes minutes, nor the plain rule, unless they are asked for."""
         asked = (*self.only, *([PLAIN] if self.plain else []))
         return [
             entrant
@@ -138,14 +138,14 @@ class Options(_entrants.Options):
         ]
 
     def starts(self, entrant: Entrant) -> int:
-        """Give how many starts one who is not trained here meets at each spread."""
+        """Return how many starts one who is not trained here meets at each spread."""
         whole = math.prod(self.sizes)
         if entrant.part >= 1:
             return min(whole, _ENOUGH) if entrant.policy else whole
         return min(whole, 2 if self.quick else entrant.runs(self.part_of))
 
     def side(self, entrant: Entrant) -> int:
-        """Give the points on a side of one's map; none where it takes too long."""
+        """Return the points on a side of one's map; none where it takes too long."""
         if entrant.part < 1:
             return round(math.sqrt(entrant.part) * self.basins) if self.all and not self.quick else 0
         return min(self.basins, 5) if self.quick else self.basins
@@ -222,7 +222,7 @@ def run(job: Job, options: Options) -> Result:
 
 
 def _trace(controller: dpend.Controller, seed: int) -> Array:
-    """Give the force over the first seconds of one episode, the same for every controller, until it falls."""
+    """Return the force over the first seconds of one episode, the same for every controller, until it falls."""
     task = dpend.Balance(lam=_TRACE_LAM)
     start = task.starts(np.random.default_rng([seed, 1]), 1, RIG)[0]
     return dpend.simulate(RIG, controller, start, _TRACE_SECONDS, task=task, seed=seed).u
@@ -240,7 +240,7 @@ def _trained(rows: list[Row], controller: str) -> bool:
 
 
 def rate(rows: list[Row], controller: str, lam: float, *, report: bool = False) -> Rate:
-    """Give the success of a controller at one spread, with its interval.
+    """Return the success of a controller at one spread, with its interval.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def rate(rows: list[Row], controller: str, lam: float, *, report: bool = False) 
 
 
 def falls_to(rows: list[Row], traces: Traces, controller: str) -> Falls:
-    """Give the spreads λ50 and λ90 at which a controller saves a half and nine tenths of the starts.
+    """Return the spreads λ50 and λ90 at which a controller saves a half and nine tenths of the starts.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ def falls_to(rows: list[Row], traces: Traces, controller: str) -> Falls:
 
 
 def best(lams: Sequence[float]) -> tuple[dict[float, Rate], Falls]:
-    """Give what can be saved at all, as far as is known: the share by spread within those given, and λ50 and λ90."""
+    """Return what can be saved at all, as far as is known: the share by spread within those given, and λ50 and λ90."""
     known = {lam: saved for lam, saved in recoverable.shipped().items() if lams[0] <= lam <= lams[-1]}
     if not known:
         return {}, (Crossing(math.inf, math.inf, math.inf), Crossing(math.inf, math.inf, math.inf))

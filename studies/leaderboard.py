@@ -77,16 +77,16 @@ class Options(_entrants.Options):
         self.check_least(1, "trainings")
 
     def taking_part(self, task: Task) -> list[Entrant]:
-        """Give those that do a task; where it must be quick, none that takes long but those that are named."""
+        """Return those that do a task; where it must be quick, none that takes long but those that are named."""
         named = self.only if self.quick else [entrant.name for entrant in ENTRANTS]
         return [each for each in self.entrants(task) if each.part == 1 or each.source or each.name in named]
 
     def runs(self, entrant: Entrant) -> int:
-        """Give how many starts somebody meets; few where it must be quick."""
+        """Return how many starts somebody meets; few where it must be quick."""
         return entrant.runs(self.starts) if not self.quick else min(self.starts, 20 if entrant.part == 1 else 2)
 
     def part(self, entrant: Entrant, chunk: int) -> tuple[int, int]:
-        """Give the first start of a job, and how many there are in it."""
+        """Return the first start of a job, and how many there are in it."""
         first = chunk * _CHUNK if entrant.part < 1 else 0
         return first, min(self.runs(entrant) - first, _CHUNK if entrant.part < 1 else self.starts)
 
@@ -96,15 +96,15 @@ class Options(_entrants.Options):
         return (0.1, 0.4) if self.quick else LAMS
 
     def balance(self, lam: float = 0.1) -> Balance:
-        """Give the task of balancing; one second of it where it must be quick."""
+        """Return the task of balancing; one second of it where it must be quick."""
         return Balance(lam=lam, steps=50 if self.quick else 300)
 
     def swing_up(self, start: str = "hanging") -> SwingUp:
-        """Give the task of swinging up; one second of it where it must be quick."""
-        return SwingUp(start=start, spread=0.0 if start == "anywhere" else 0.1, steps=50 if self.quick else 500)
+        """Return the task of swinging up; one second of it where it must be quick."""
+        return SwingUp(start=start, angle_spread=0.0 if start == "anywhere" else 0.1, steps=50 if self.quick else 500)
 
     def task(self, task: Task) -> Balance | SwingUp:
-        """Give a task from where its force is measured."""
+        """Return a task from where its force is measured."""
         return self.balance() if task == "balance" else self.swing_up()
 
 
@@ -178,7 +178,7 @@ def _all(options: Options) -> list[Entrant]:
 
 
 def _robustness_starts(entrant: Entrant, options: Options) -> int:
-    """Give the starts in each of some hundred settings; none for what would take an hour, or where it must be quick."""
+    """Return starts in each of some hundred settings; none for what would take an hour, or where it must be quick."""
     if options.quick:
         return 2 if entrant.source or entrant.name == "LQR" else 0
     return 0 if entrant.part < 0.1 else 20 if entrant.part == 1 else 5
@@ -270,7 +270,7 @@ def _steps(entrant: Entrant, task: Task, options: Options) -> list[Row]:
 
 
 def _step(controller: dpend.Controller, x0: Array, task: Balance | SwingUp) -> float:
-    """Give the time of a step by the number of rows: the mean over ten steps, of which the median.
+    """Return the time of a step by the number of rows: the mean over ten steps, of which the median.
 
     Some hold their force for several steps, so a step alone says little; the first ten, in which planners begin from
     nothing, do not count.
@@ -356,15 +356,15 @@ class Found:
         self.lams = sorted(float(each.removeprefix("saved, λ = ")) for each in quantities if each.startswith("saved"))
 
     def of(self, name: str, quantity: str) -> Array:
-        """Give the numbers of somebody, none where there are none."""
+        """Return the numbers of somebody, none where there are none."""
         return self._of[name].get(quantity, np.empty(0))
 
     def saved(self, name: str) -> Array:
-        """Give successes ``(n, L)`` of balancing, a row a start."""
+        """Return successes ``(n, L)`` of balancing, a row a start."""
         return np.stack([self.of(name, f"saved, λ = {lam:g}") for lam in self.lams], axis=1)
 
     def doing(self, task: Task) -> list[str]:
-        """Give the names of those that do a task."""
+        """Return the names of those that do a task."""
         first = {"balance": [f"saved, λ = {lam:g}" for lam in self.lams], "swing-up": ["up from hanging, s"]}[task]
         return [name for name in self.names if first and len(self.of(name, first[0]))]
 
@@ -377,7 +377,7 @@ class Ranked(NamedTuple):
 
 
 def scored(lams: Iterable[float]) -> npt.NDArray[np.bool_]:
-    """Tell which spreads count in the score of balancing: from λ = .1 on."""
+    """Return which spreads count in the score of balancing: from λ = .1 on."""
     return np.array([lam >= SHOWN[0] for lam in lams])
 
 
@@ -528,7 +528,7 @@ def _crossing(found: Array, lams: npt.ArrayLike) -> Cell:
 
 
 def _standing(ranks: Ranked, name: str) -> list[Cell]:
-    """Give rank, share of resamples in which it is first, and in which the next is better."""
+    """Return rank, share of resamples in which it is first, and in which the next is better."""
     found = ranks.ranking
     i = ranks.names.index(name)
     place = int(np.flatnonzero(found.order == i)[0])
@@ -601,7 +601,7 @@ def _of_cost(found: Found, name: str) -> list[Cell]:
 
 
 def _reference(found: Found) -> list[Cell]:
-    """Give what can be saved at all, on 1000 starts of its own."""
+    """Return what can be saved at all, on 1000 starts of its own."""
     kept = recoverable.shipped()
     saved = np.stack(list(kept.values()), axis=1).astype(np.float64)
     cells = {column.heading: Cell() for column in BALANCE}

@@ -153,7 +153,7 @@ class Row:
 
 
 def deep_trainings(folder: Path) -> dict[str, list[Path]]:
-    """Give the folders of the deep trainings that are there.
+    """Return the folders of the deep trainings that are there.
 
     Parameters
     ----------
@@ -251,7 +251,7 @@ def run(job: Job, options: Options) -> Result:
 
 
 def small(learner: AnyLearner) -> AnyLearner:
-    """Give the same learner with a budget of moments, for compiling and for ``--quick``."""
+    """Return the same learner with a budget of moments, for compiling and for ``--quick``."""
     if isinstance(learner, LSPI):
         return replace(learner, iterations=2)
     if isinstance(learner, GaussianQAC):
@@ -260,12 +260,12 @@ def small(learner: AnyLearner) -> AnyLearner:
 
 
 def _starts(rig: dpend.Rig, balancing: bool, n: int, seed: int) -> Array:
-    """Give the starts of an evaluation: ``n`` at each spread, or half hanging and half to the side."""
+    """Return the starts of an evaluation: ``n`` at each spread, or half hanging and half to the side."""
     streams = [np.random.default_rng([seed, 16]) for _ in LAMS]
     if balancing:
         tasks = [dpend.Balance(lam=lam) for lam in LAMS]
         return np.concatenate([task.starts(rng, n, rig) for task, rng in zip(tasks, streams, strict=True)])
-    tasks = [dpend.SwingUp(start=start, spread=0.05) for start in ("hanging", "side")]
+    tasks = [dpend.SwingUp(start=start, angle_spread=0.05) for start in ("hanging", "side")]
     return np.concatenate([task.starts(rng, n // 2, rig) for task, rng in zip(tasks, streams, strict=True)])
 
 
@@ -282,7 +282,7 @@ def _succeeded(training: Training | QACTraining | LSPITraining) -> int:
 def snapshots(
     training: Training | QACTraining | LSPITraining, points: int
 ) -> tuple[Array, list[LinearQPolicy | GainPolicy | TableOneMean]]:
-    """Give policies on the way of a training, without their exploration.
+    """Return policies on the way of a training, without their exploration.
 
     Parameters
     ----------
@@ -316,12 +316,12 @@ def snapshots(
 
 
 def _spread(n: int, points: int) -> np.ndarray:
-    """Give at most ``points`` of the first ``n`` whole numbers, geometrically spread."""
+    """Return at most ``points`` of the first ``n`` whole numbers, geometrically spread."""
     return np.unique(np.geomspace(1, n, min(points, n)).round().astype(int)) - 1 if n else np.zeros(0, dtype=int)
 
 
 def _edges(learner: AnyLearner, *, linear: bool) -> Array:
-    """Give the episodes between which a curve is averaged, as far as the learner's budget goes."""
+    """Return the episodes between which a curve is averaged, as far as the learner's budget goes."""
     budget = learner.iterations * learner.samples // 10 if isinstance(learner, LSPI) else learner.max_episodes
     space = np.linspace if linear else np.geomspace
     return np.append(0, np.unique(space(1, budget, _BINS).round())).astype(np.float64)
@@ -348,7 +348,7 @@ def thin(values: Array, edges: Array) -> Array:
 
 
 def reached(costs: Array, shares: Array, level: float) -> float:
-    """Give the cost at which a share first comes to a level; not a number where it never does.
+    """Return the cost at which a share first comes to a level; not a number where it never does.
 
     Parameters
     ----------
@@ -362,7 +362,7 @@ def reached(costs: Array, shares: Array, level: float) -> float:
 
 
 def kept(costs: Array, shares: Array) -> float:
-    """Give the cost of the first evaluation from which on all saw ``MOST``; not a number where the last did not.
+    """Return the cost of the first evaluation from which on all saw ``MOST``; not a number where the last did not.
 
     Parameters
     ----------
@@ -401,7 +401,7 @@ def _read(learner: str, folder: Path) -> Result:
 
 
 def quartiles(curves: Sequence[Array], tails: Sequence[float]) -> Array:
-    """Give quartiles ``(3, m)`` over curves of which some end before others.
+    """Return quartiles ``(3, m)`` over curves of which some end before others.
 
     Parameters
     ----------
@@ -416,7 +416,7 @@ def quartiles(curves: Sequence[Array], tails: Sequence[float]) -> Array:
 
 
 def quartiles_between(x: Sequence[Array], y: Sequence[Array], grid: Array) -> Array:
-    """Give quartiles ``(3, m)`` on a grid over curves that have points of their own.
+    """Return quartiles ``(3, m)`` on a grid over curves that have points of their own.
 
     Each is straight between its points, and goes on at its last value.
 
@@ -431,7 +431,7 @@ def quartiles_between(x: Sequence[Array], y: Sequence[Array], grid: Array) -> Ar
 
 
 def _traces(traces: Traces, name: str) -> list[dict[str, Array]]:
-    """Give the traces of all trainings of a learner."""
+    """Return the traces of all trainings of a learner."""
     start = _study.slug(Job(f"{name}@")).removesuffix("-0") if name in DEEP else _study.slug(Job(name))[:-1]
     return [trace for job, trace in traces.items() if job.startswith(start)]
 
@@ -444,7 +444,7 @@ def _band(axis: Axes, x: Array, quantiles: Array, style: tuple[str, str, str]) -
 
 
 def _outcomes(learner: Learner, rows: list[Row], name: str) -> tuple[str, str, str]:
-    """Give the style of a learner's curve, with how its trainings ended in the words."""
+    """Return the style of a learner's curve, with how its trainings ended in the words."""
     own = list({row.training: row.outcome for row in rows if row.learner == name}.values())
     counts = {words: own.count(outcome) for outcome, words in _ENDS.items() if outcome in own}
     return f"{learner.words} ({_told(counts)})", learner.colour, learner.line

@@ -118,7 +118,7 @@ class LinearLaw:
         self.K, self.sign, self.nearest = K, LAWS[law], STATES[state]
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Give the law for ``n`` runs."""
+        """Return the law for ``n`` runs."""
         K = np.broadcast_to(self.K, (n, 6))
 
         def act(t: float, y: Array) -> Array:
@@ -129,7 +129,7 @@ class LinearLaw:
 
 
 def _task(start: str, spread: float = 0.0) -> dpend.SwingUp:
-    return dpend.SwingUp(start=start, spread=spread)
+    return dpend.SwingUp(start=start, angle_spread=spread)
 
 
 def jobs(options: Options) -> list[Job]:

@@ -95,7 +95,7 @@ class Row:
 
 
 def discounted_gain(rig: dpend.Rig, state_weights: Sequence[float], force_weight: float, gamma: float) -> Array:
-    r"""Give the gain ``(6,)`` of least :math:`\\sum_k \\gamma^k (x_k^\top Q x_k + R u_k^2)` about upright.
+    r"""Return the gain ``(6,)`` of least :math:`\\sum_k \\gamma^k (x_k^\top Q x_k + R u_k^2)` about upright.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def discounted_gain(rig: dpend.Rig, state_weights: Sequence[float], force_weight
 
 
 def reference(rig: dpend.Rig) -> Array:
-    """Give the Riccati gain of the cost and the discount that the learners have."""
+    """Return the Riccati gain of the cost and the discount that the learners have."""
     learner = LSPI(rig)
     return discounted_gain(rig, learner.state_weights, learner.force_weight, learner.gamma)
 

@@ -187,7 +187,7 @@ class Replay:
         self.regulator = regulator
 
     def start(self, n: int, rng: np.random.Generator) -> dpend.Act:
-        """Give the law for as many runs as there are rows."""
+        """Return the law for as many runs as there are rows."""
         act, planned = self.regulator.start(n, rng), self.forces.T
 
         def replay(t: float, y: Array) -> Array:
@@ -199,7 +199,7 @@ class Replay:
 
 
 def holds(plan: Trajectory, x0: Array, task: dpend.Balance) -> bool:
-    """Tell whether a plan's forces, replayed from its start for some time and followed by LQR, save the start.
+    """Return whether a plan's forces, replayed from its start for some time and followed by LQR, save the start.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def holds(plan: Trajectory, x0: Array, task: dpend.Balance) -> bool:
     for row, last in enumerate((N, 3 * N // 4, N // 2)):
         forces[row, last:] = np.nan
     for position in (plan.x[-1, 0], 0.0):
-        regulator = LQR(RIG, Q=(1, 10, 10, 1, 1, 1), R=0.1, about=[position, 0, 0, 0, 0, 0])
+        regulator = LQR(RIG, Q=(1, 10, 10, 1, 1, 1), R=0.1, target=[position, 0, 0, 0, 0, 0])
         if dpend.simulate_many(RIG, Replay(forces, regulator), np.tile(x0, (3, 1)), task=task).success.any():
             return True
     return False
@@ -233,7 +233,7 @@ def _search(horizon: int, round_it: bool = False) -> LeastForce:
 
 
 def optimal(x0: Array, task: dpend.Balance, guesses: int = 0) -> tuple[float, bool]:
-    """Give the least force that was found for a start, N, and whether its motion saves the start in the simulator.
+    """Return the least force that was found for a start, N, and whether its motion saves the start in the simulator.
 
     Parameters
     ----------
@@ -343,7 +343,7 @@ class NullControllable(NamedTuple):
     boundary: Array
 
     def share(self, x: npt.ArrayLike) -> Array:
-        """Give by which factor ``(n,)`` the set must grow to reach states ``(n, 6)``: inside, below 1."""
+        """Return by which factor ``(n,)`` the set must grow to reach states ``(n, 6)``: inside, below 1."""
         edge = np.roll(self.boundary, -1, axis=0) - self.boundary
         outward = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
         height = np.einsum("mi,mi->m", outward, self.boundary)
@@ -352,13 +352,13 @@ class NullControllable(NamedTuple):
         return shares
 
     def at_rest(self) -> Array:
-        """Give the boundary's cut with the states at rest at the origin: points ``(m, 2)`` of (θ1, θ2)."""
+        """Return the boundary's cut with the states at rest at the origin: points ``(m, 2)`` of (θ1, θ2)."""
         cut: Array = np.linalg.solve(self.W[:, 1:3], self.boundary.T).T.astype(np.float64)
         return cut
 
 
 def null_controllable(params: Params, force: float, points: int = 400) -> NullControllable:
-    r"""Give the null-controllable set of the upright linearisation's unstable modes under :math:`|u| \le F`.
+    r"""Return the null-controllable set of the upright linearisation's unstable modes under :math:`|u| \le F`.
 
     It is :math:`\{-\int_0^\infty e^{-\Lambda s} b\, u(s)\, ds\}`.  The extremes of an integral over :math:`|u| \le F`
     are attained by :math:`u = F\,\mathrm{sgn}(c^\top e^{-\Lambda s} b)`, which with two real rates changes sign once
@@ -405,7 +405,7 @@ def null_controllable(params: Params, force: float, points: int = 400) -> NullCo
 
 
 def map_starts(options: Options) -> Array:
-    """Give the starts of the computed half of the map ``(n, 6)``, row by row: θ1 > 0, or θ1 = 0 and θ2 >= 0."""
+    """Return the starts of the computed half of the map ``(n, 6)``, row by row: θ1 > 0, or θ1 = 0 and θ2 >= 0."""
     side = options.sizes[2]
     angles = np.linspace(-options.extent, options.extent, side) if side > 1 else np.zeros(side)
     angles[np.abs(angles) < 1e-12] = 0.0
@@ -454,12 +454,12 @@ def run(job: Job, options: Options) -> Result:
 
 
 def rounded(verdict: Verdict) -> Verdict:
-    """Give a verdict with its force to a hundredth of a newton, as the table has it."""
+    """Return a verdict with its force to a hundredth of a newton, as the table has it."""
     return verdict._replace(least_force=round(verdict.least_force, 2))
 
 
 def table() -> Path:
-    """Give the table that is shipped: part of the package where it is installed, else in docs/results."""
+    """Return the table that is shipped: part of the package where it is installed, else in docs/results."""
     return _study.kept_table("recoverable")
 
 
@@ -469,7 +469,7 @@ def _shipped_rows() -> tuple[Row, ...]:
 
 
 def shipped() -> dict[float, npt.NDArray[np.bool_]]:
-    """Give which starts are recoverable, by spread: row ``i`` is start ``i`` of seed 0, from the table that is shipped.
+    """Return which starts are recoverable, by spread: row ``i`` is start ``i`` of seed 0, from the shipped table.
 
     Returns
     -------
@@ -484,7 +484,7 @@ def shipped() -> dict[float, npt.NDArray[np.bool_]]:
 
 
 def shipped_map() -> tuple[Array, Array]:
-    """Give the least force that saves a start at rest, over both angles, from the table that is shipped.
+    """Return the least force that saves a start at rest, over both angles, from the table that is shipped.
 
     Returns
     -------
@@ -497,7 +497,7 @@ def shipped_map() -> tuple[Array, Array]:
 
 
 def _mirrored(rows: list[Row], value: Callable[[Row], float]) -> tuple[Array, Array]:
-    """Give the angles of a map, and what is known of its computed half over the whole of it, by θ2 and θ1."""
+    """Return the angles of a map, and what is known of its computed half over the whole of it, by θ2 and θ1."""
     angles = sorted({sign * angle for row in rows for angle in (row.th1, row.th2) for sign in (1, -1)})
     place = {angle: i for i, angle in enumerate(angles)}
     whole = np.full((len(angles), len(angles)), np.nan)
@@ -619,7 +619,7 @@ def summary(rows: list[Row], traces: Traces) -> RenderableType:
 
 
 def _met(rows: list[Row]) -> int:
-    """Give how many of the first starts iLQR MPC met without a gap, if it met any that feedback saves."""
+    """Return how many of the first starts iLQR MPC met without a gap, if it met any that feedback saves."""
     met = {row.index for row in rows if row.mpc != "-"}
     n = 0
     while n in met:

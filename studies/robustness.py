@@ -78,7 +78,7 @@ class Options(_entrants.Options):
             raise ValueError(f"--plants must be a power of two, at least 16; got {self.plants}.")
 
     def taking_part(self, task: Task) -> list[Entrant]:
-        """Give those that do a task and are not too slow; where it must be quick, two of ours and the user's own."""
+        """Return those that do a task and are not too slow; where it must be quick, two of ours and the user's own."""
         return [
             entrant
             for entrant in self.entrants(task)
@@ -87,11 +87,11 @@ class Options(_entrants.Options):
         ]
 
     def starts_of(self, entrant: Entrant) -> int:
-        """Give the starts that somebody meets in each setting."""
+        """Return the starts that somebody meets in each setting."""
         return 2 if self.quick else self.starts if _fast(entrant) else min(self.starts, self.slow_starts)
 
     def plants_of(self, entrant: Entrant) -> int:
-        """Give the plants that somebody meets."""
+        """Return the plants that somebody meets."""
         return 16 if self.quick else self.plants if _fast(entrant) else self.plants // 8
 
 
@@ -186,7 +186,7 @@ def run(job: Job, options: Options) -> Result:
 
 
 def _rows(case: Case, levels: Sequence[float], outcomes: Array) -> list[Row]:
-    """Give a row a level; outcomes ``(levels, starts)``."""
+    """Return a row a level; outcomes ``(levels, starts)``."""
     return [
         Row(
             **case._asdict(),
@@ -207,7 +207,7 @@ def _chosen(rows: list[Row], **wanted: str) -> list[Row]:
 
 
 def outcomes_of(rows: list[Row], controller: str, task: Task) -> dict[str, Array]:
-    """Give the outcomes ``(starts, levels)`` of a controller by the name of the axis.
+    """Return the outcomes ``(starts, levels)`` of a controller by the name of the axis.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def outcomes_of(rows: list[Row], controller: str, task: Task) -> dict[str, Array
 
 
 def score(rows: list[Row], controller: str, task: Task) -> Rate:
-    """Give the robustness score: success in perturbed settings, the mean over RealAIGym's six axes.
+    """Return the robustness score: success in perturbed settings, the mean over RealAIGym's six axes.
 
     Parameters
     ----------
@@ -264,12 +264,12 @@ def score(rows: list[Row], controller: str, task: Task) -> Rate:
 
 
 def rate(rows: list[Row]) -> Rate:
-    """Give the share of runs that succeeded, with Wilson's interval."""
+    """Return the share of runs that succeeded, with Wilson's interval."""
     return wilson(sum(row.successes for row in rows), sum(row.runs for row in rows))
 
 
 def breaking(outcomes: dict[str, Array], axis: Axis, sign: int = 1) -> Crossing:
-    """Give the level of an axis at which success falls to 50 %, to either side of nominal.
+    """Return the level of an axis at which success falls to 50 %, to either side of nominal.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ def breaking(outcomes: dict[str, Array], axis: Axis, sign: int = 1) -> Crossing:
 
 
 def weakest(outcomes: dict[str, Array]) -> tuple[str, int, Crossing]:
-    """Give the parameter, the sign and the size of the least error of one parameter that halves success."""
+    """Return the parameter, the sign and the size of the least error of one parameter that halves success."""
     sides = [(axis, sign) for axis in AXES if axis.name in PARAMETERS for sign in (-1, 1)]
     least, axis, sign = min(
         ((breaking(outcomes, axis, sign), axis, sign) for axis, sign in sides),
@@ -303,7 +303,7 @@ def weakest(outcomes: dict[str, Array]) -> tuple[str, int, Crossing]:
 
 
 def on_plants(rows: list[Row], controller: str, task: Task) -> tuple[Rate, Tail]:
-    """Give the mean success over plants, and the worst tenth of them with the worst of all."""
+    """Return the mean success over plants, and the worst tenth of them with the worst of all."""
     own = _chosen(rows, controller=controller, task=task, part="plants")
     shares = [row.successes / row.runs for row in own]
     return mean_share(shares, sum(row.runs for row in own)), worst_cases(shares, 0.1)
@@ -323,7 +323,7 @@ _VIEW_STYLES = {
 
 
 def _present(rows: list[Row], task: Task, part: str = "axes") -> dict[str, Style]:
-    """Give who took part, in the order in which they are always named, and how each is drawn."""
+    """Return who took part, in the order in which they are always named, and how each is drawn."""
     return styles(row.controller for row in _chosen(rows, task=task, part=part))
 
 
@@ -392,7 +392,7 @@ def _plot_parameters(rows: list[Row], tasks: list[Task]) -> Figure:
 
 
 def _curves(rows: list[Row], name: str, task: Task, group: str) -> tuple[Array, list[Rate]]:
-    """Give levels and success of a controller along one of the six axes; errors are pooled over parameters."""
+    """Return levels and success of a controller along one of the six axes; errors are pooled over parameters."""
     own = _chosen(rows, controller=name, task=task, part="axes")
     of = [row for row in own if row.axis in (PARAMETERS if group == "model" else (group,))]
     at: dict[float, list[Row]] = {0.0: [row for row in own if row.axis == NOMINAL.name]}
@@ -541,7 +541,7 @@ def pages(rows: list[Row], traces: Traces) -> dict[str, str]:
 
 
 def sheets(rows: list[Row]) -> list[Sheet]:
-    """Give the tables that have something in them."""
+    """Return the tables that have something in them."""
     return [sheet for sheet in (_scores(rows), _breaks(rows), _plants(rows), _sensors(rows)) if sheet.lines]
 
 

@@ -55,7 +55,7 @@ from ._study import Job, Result, Traces
 TASKS: dict[str, dpend.Balance | dpend.SwingUp] = {
     "balance 0.1": dpend.Balance(lam=0.1),
     "balance 0.3": dpend.Balance(lam=0.3),
-    "swing-up": dpend.SwingUp(start="hanging", spread=0.1, steps=500),
+    "swing-up": dpend.SwingUp(start="hanging", angle_spread=0.1, steps=500),
 }
 CONDITIONS = {"perfect": 0.0, "noise": 0.002}
 """Standard deviations of the noise on every measured state."""
@@ -131,12 +131,12 @@ class Case(NamedTuple):
     training: int = 0
 
     def job(self, source: str = "") -> Job:
-        """Give the job of the case."""
+        """Return the job of the case."""
         return Job(" + ".join(self[:-1]), self.training, source)
 
     @classmethod
     def of(cls, job: Job) -> Case:
-        """Give the case of a job."""
+        """Return the case of a job."""
         controller, task, condition, device, setting = job.setting.split(" + ")
         return cls(controller, task, condition, device, setting, job.repetition)
 
@@ -335,7 +335,7 @@ def _short(value: float | np.floating) -> float:
 
 
 def found(rows: list[Row], metric: str, **wanted: object) -> list[Row]:
-    """Give the rows of one metric whose other columns are as wanted."""
+    """Return the rows of one metric whose other columns are as wanted."""
     return [
         row
         for row in rows
@@ -344,7 +344,7 @@ def found(rows: list[Row], metric: str, **wanted: object) -> list[Row]:
 
 
 def success(row: Row) -> Rate:
-    """Give the share of runs that succeeded, with its interval."""
+    """Return the share of runs that succeeded, with its interval."""
     return wilson(row.successes, row.starts)
 
 
@@ -393,7 +393,7 @@ def _plot_pareto(rows: list[Row], condition: str) -> Figure:
 
 
 def _drawn(variation: float) -> float:
-    """Give where a variation stands on an axis that has no zero."""
+    """Return where a variation stands on an axis that has no zero."""
     return max(variation, _LEAST)
 
 
@@ -419,7 +419,7 @@ def _plot_points(axis: Axes, rows: list[Row], style: dict[str, Style]) -> None:
 
 
 def front(rows: list[Row]) -> list[tuple[float, float]]:
-    """Give variation and success of those than whom nobody is both smoother and as successful, smoothest first."""
+    """Return variation and success of those than whom nobody is both smoother and as successful, smoothest first."""
     best: list[tuple[float, float]] = []
     for row in sorted(rows, key=lambda row: (row.median, -row.successes / row.starts)):
         share = row.successes / row.starts
@@ -545,7 +545,7 @@ def _plot_device(saved: Axes, varied: Axes, rows: list[Row], device: str) -> Non
 
 
 def _learned(rows: list[Row]) -> list[tuple[str, list[Row]]]:
-    """Give Q-learning without and with a² (balancing), and deep trainings without and with a device (swing-up)."""
+    """Return Q-learning without and with a² (balancing), and deep trainings without and with a device (swing-up)."""
     groups = [
         (f"{name}\n{features}\nλ = 0.3", found(rows, "variation", controller=name, task=_DEVICE_TASK, device="none"))
         for name, features in (("Q tuned", "without a²"), ("LSPI", "with a²"))
@@ -582,7 +582,7 @@ def _plot_learned(saved: Axes, varied: Axes, groups: list[tuple[str, list[Row]]]
 
 
 def _present(rows: list[Row]) -> list[str]:
-    """Give those that stand for themselves, in the order of the table."""
+    """Return those that stand for themselves, in the order of the table."""
     return list(dict.fromkeys(row.controller for row in rows if row.device == "none"))
 
 

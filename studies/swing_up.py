@@ -88,7 +88,7 @@ class Options(_entrants.Options):
         self.check_least(1, "runs", "transfer_runs", "preset_runs")
 
     def count(self, case: Case) -> int:
-        """Give the number of runs of a case; one where it must be quick."""
+        """Return the number of runs of a case; one where it must be quick."""
         if self.quick:
             return 1
         if case.rig != _RIG:
@@ -125,7 +125,7 @@ class Case(NamedTuple):
         spread = 0.2 if self.condition == "starts ±0.2" else 0.1
         seconds = 6.0 if self.start in dpend.EQUILIBRIA else 10.0 if self.rig == _RIG else 20.0
         steps = round(seconds / dpend.rig(self.rig).sample_time)
-        return dpend.SwingUp(start=self.start, target=self.target, spread=spread, steps=steps)
+        return dpend.SwingUp(start=self.start, target=self.target, angle_spread=spread, steps=steps)
 
     @property
     def timed(self) -> bool:
@@ -239,12 +239,12 @@ _METRICS = ("time_up", "seconds", "peak_force", "travel", "effort", "variation",
 
 
 def _short(value: float | np.floating) -> float:
-    """Give four digits: the table has thousands of rows, and no figure needs more."""
+    """Return four digits: the table has thousands of rows, and no figure needs more."""
     return float(f"{value:.4g}")
 
 
 def _wrong(rig: dpend.Rig, share: float, rng: np.random.Generator, n: int, mine: slice) -> dpend.Rig:
-    """Give rigs whose masses and lengths each differ from the believed by up to a share, one a run."""
+    """Return rigs whose masses and lengths each differ from the believed by up to a share, one a run."""
     names = ("cart_mass", "mass1", "mass2", "length1", "length2")
     factors = 1 + share * rng.uniform(-1, 1, (n, len(names)))[mine]
     return rig.replace(**{name: getattr(rig.params, name) * factors[:, i] for i, name in enumerate(names)})
@@ -267,7 +267,7 @@ def _chosen(rows: list[Row], **wanted: str) -> list[Row]:
 
 
 def rate(rows: list[Row]) -> Rate:
-    """Give the share of runs that succeeded, with its interval."""
+    """Return the share of runs that succeeded, with its interval."""
     return wilson(sum(row.success for row in rows), len(rows))
 
 
@@ -507,12 +507,12 @@ def _late(rows: list[Row], traces: Traces) -> Table:
 
 
 def _slug(row: Row) -> str:
-    """Give the name of the job that gave a row."""
+    """Return the name of the job that gave a row."""
     return _study.slug(Job(_case(row).setting, row.run // _CHUNK))
 
 
 def _times(rows: list[Row], traces: Traces) -> StepTimes:
-    """Give the times of all steps of the jobs that gave these rows, as far as their steps were timed."""
+    """Return the times of all steps of the jobs that gave these rows, as far as their steps were timed."""
     saved = (traces.get(slug, {}) for slug in dict.fromkeys(map(_slug, rows)))
     return StepTimes.joined(trace for trace in saved if "step_counts" in trace)
 

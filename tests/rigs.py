@@ -58,17 +58,17 @@ def random_forces(rng: np.random.Generator, n: int) -> Array:
 
 
 def whole(message: str) -> str:
-    """Give the pattern that only this whole message matches."""
+    """Return the pattern that only this whole message matches."""
     return f"^{re.escape(message)}$"
 
 
 def row(params: Params, i: int) -> Params:
-    """Give one plant of a batch."""
+    """Return one plant of a batch."""
     return Params(**{name: v[i] if isinstance(v, np.ndarray) else v for name, v in params.to_dict().items()})
 
 
 def endless(name: str = "gustafsson2016", **changes: Any) -> Rig:
-    """Give a preset without limits, so that nothing but the plant decides."""
+    """Return a preset without limits, so that nothing but the plant decides."""
     return rig(name).replace(**({"force_limit": np.inf, "track_limit": np.inf} | changes))
 
 

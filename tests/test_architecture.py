@@ -32,13 +32,13 @@ class Import(NamedTuple):
 
 @cache
 def tree(path: Path) -> ast.Module:
-    """Give a file's syntax tree, parsed once for all tests."""
+    """Return a file's syntax tree, parsed once for all tests."""
     return ast.parse(path.read_text())
 
 
 @cache
 def imports(path: Path, source: str | None = None) -> tuple[Import, ...]:
-    """Give what a file imports, relative names resolved; not what only type checkers see."""
+    """Return what a file imports, relative names resolved; not what only type checkers see."""
     package = ".".join(path.relative_to(ROOT).parts[:-1])
 
     def walk(node: ast.AST, at_once: bool) -> Iterator[Import]:
@@ -61,7 +61,7 @@ def imports(path: Path, source: str | None = None) -> tuple[Import, ...]:
 
 
 def importers(module: str) -> set[str]:
-    """Give the files that import a module or anything in it, now or later."""
+    """Return the files that import a module or anything in it, now or later."""
     return {
         name
         for name, path in SOURCES.items()
@@ -124,7 +124,7 @@ def test_the_equations_import_nothing() -> None:
 
 
 def inside(name: str) -> set[str]:
-    """Give the modules of dpend that one of them imports, now or later."""
+    """Return the modules of dpend that one of them imports, now or later."""
     found = imports(SOURCES[f"dpend/{name}.py"])
     return {each.module.removeprefix("dpend.") for each in found if each.module.startswith("dpend.")}
 
@@ -137,7 +137,7 @@ def inside(name: str) -> set[str]:
         ("plant", {"equations", "params"}),
         ("linear", {"params", "plant"}),
         ("rig", {"params", "suggest"}),
-        ("tasks", {"arguments", "kernels", "params", "rig", "state", "suggest"}),
+        ("tasks", {"arguments", "deprecation", "kernels", "params", "rig", "state", "suggest"}),
         ("stepper", {"kernels", "params", "rig", "state"}),
         ("controller", {"params"}),
     ],
@@ -262,18 +262,18 @@ def sections(docstring: str) -> dict[str, str]:
 
 
 def names_in(section: str) -> set[str]:
-    """Give the names that a section explains: what stands before a colon, or alone, on lines that are not indented."""
+    """Return names that a section explains: what stands before a colon, or alone, on lines that are not indented."""
     lines = [line for line in section.splitlines() if line and not line[0].isspace()]
     return {name.strip("* ") for line in lines for name in line.partition(" : ")[0].split(",")}
 
 
 def arguments(thing: Callable[..., Any]) -> set[str]:
-    """Give the names of what a function or class takes."""
+    """Return the names of what a function or class takes."""
     return {name for name in inspect.signature(thing).parameters if name not in ("self", "cls")}
 
 
 def public() -> dict[str, Any]:
-    """Give the classes and functions that the packages export, by their full names."""
+    """Return the classes and functions that the packages export, by their full names."""
     found: dict[str, Any] = {}
     for package in ("dpend", "controllers", "rl"):
         module = importlib.import_module(package)

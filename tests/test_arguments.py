@@ -69,7 +69,7 @@ def test_what_is_no_whole_number_or_too_small_is_refused_by_name(value):
             "frequency must be finite and greater than 0 Hz; got 'a'.",
         ),
         (lambda: dpend.SwingUp(hold=A), "hold must be finite and greater than 0 s; got 'a'."),
-        (lambda: dpend.SwingUp(spread=A), "spread must be within 0 and pi rad; got 'a'."),
+        (lambda: dpend.SwingUp(angle_spread=A), "angle_spread must be within 0 and pi rad; got 'a'."),
         (
             lambda: dpend.Balance(state_weights=(A, 1, 1)),
             "state_weights must be three finite numbers, at least 0, for |pos|, |th1| and |th2|; got ('a', 1, 1).",

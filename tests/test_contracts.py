@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import controllers
 import dpend
 import rl
-from controllers import EKF, LQR, BangBang, Catch, Constant, EnergyPump, LowPass, RateLimit, WithEstimator
+from controllers import EKF, LQR, BangBang, Constant, EnergyPump, LowPass, RateLimit, SwitchingController, WithEstimator
 from dpend import Controller, Rig
 from dpend.controller import check_controller, is_batched
 from dpend.params import Array
@@ -23,7 +23,7 @@ from rl import GainPolicy, LinearQPolicy, MLPPolicy, Network
 
 
 def random_network() -> Network:
-    """Give a small network that sees a state and its own last action."""
+    """Return a small network that sees a state and its own last action."""
     rng = np.random.default_rng(0)
     return Network([rng.normal(size=(16, 9)), rng.normal(size=(1, 16))], [rng.normal(size=16), [0.1]])
 
@@ -31,7 +31,7 @@ def random_network() -> Network:
 # What cannot be built from a rig alone; every other class with a method `start` must be.
 RECIPES: dict[str, Callable[[Rig], Any]] = {
     "BangBang": lambda rig: BangBang(LQR(rig), min(float(np.max(rig.force_limit)), 50.0)),
-    "Catch": lambda rig: Catch(rig, EnergyPump(rig)),
+    "SwitchingController": lambda rig: SwitchingController(rig, EnergyPump(rig)),
     "Constant": lambda rig: Constant(1.5),
     "GainPolicy": lambda rig: GainPolicy((1.0, -8.0, 9.0, 1.0, -0.5, 2.0)),
     "LowPass": lambda rig: LowPass(rig, LQR(rig), frequency=20.0),
@@ -99,12 +99,12 @@ def sizes(controller: Controller) -> tuple[int, ...]:
 
 
 def measurements(n: int, samples: int = 4, seed: int = 0) -> Array:
-    """Give measurements ``(samples, n, 6)`` from near upright."""
+    """Return measurements ``(samples, n, 6)`` from near upright."""
     return 0.1 * np.random.default_rng(seed).standard_normal((samples, n, 6))
 
 
 def answers(controller: Controller, y: Array, seed: int = 1) -> Array:
-    """Give the forces ``(samples, n)`` of a fresh run on measurements."""
+    """Return the forces ``(samples, n)`` of a fresh run on measurements."""
     act = controller.start(y.shape[1], np.random.default_rng(seed))
     return np.array([np.array(act(0.02 * k, row.copy())) for k, row in enumerate(y)])
 

@@ -46,7 +46,7 @@ def test_the_lyapunov_functions_slope_is_minus_damping_times_speed_squared(rig: 
 
 
 def wide() -> EnergySwingUp:
-    """Give the law well away from where it is singular."""
+    """Return the law well away from where it is singular."""
     law = EnergySwingUp(endless())
     return EnergySwingUp(endless(), k_velocity=1.6 * law.k_velocity)
 
@@ -72,7 +72,7 @@ def test_v_never_rises_along_the_motion_under_continuous_feedback(seed: int) -> 
 
 @cache
 def rises(sample_time: float, **changes: Any) -> float:
-    """Give the greatest rise of V in any sample of eight lively runs of 1 s, as a share of V at the start."""
+    """Return the greatest rise of V in any sample of eight lively runs of 1 s, as a share of V at the start."""
     rig = endless(sample_time=sample_time, substeps=1, **changes)
     law = wide()
     stepper = Stepper(rig, 8)

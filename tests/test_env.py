@@ -19,7 +19,7 @@ from dpend import Act, Balance, Rig, Status, SwingUp
 from dpend.draw import Picture
 from dpend.env import CartDoublePendulumEnv, balance, swing_up
 from dpend.params import Array
-from dpend.tasks import Unending
+from dpend.tasks import NoTask
 
 IDS = ("dpend/Balance-v0", "dpend/SwingUp-v0")
 RIG = dpend.rig("gustafsson2016")
@@ -37,7 +37,7 @@ ROUGH = RIG.replace(  # everything that may be imperfect is
 
 
 def played(env: Any, steps: int, *, seed: int | None = 0, actions: int = 1) -> list[Any]:
-    """Give all that an environment returns in an episode of random actions, begun anew where one ends."""
+    """Return all that an environment returns in an episode of random actions, begun anew where one ends."""
     env.action_space.seed(actions)
     returned = [env.reset(seed=seed)]
     for _ in range(steps):
@@ -98,7 +98,7 @@ def test_the_environment_ends_episodes_itself_without_a_time_limit_around_it(nam
 
 
 def test_without_a_length_no_episode_is_cut_short() -> None:
-    env = CartDoublePendulumEnv(Unending(), RIG)
+    env = CartDoublePendulumEnv(NoTask(), RIG)
     env.reset(seed=0)
     assert not any(env.step(np.zeros(1))[3] for _ in range(1200))
 
@@ -419,8 +419,8 @@ def _stepped(env: CartDoublePendulumEnv, action: Any) -> None:
         (
             lambda: swing_up(lam=0.2),
             TypeError,
-            "A SwingUp environment has no parameter 'lam'. Known: failure_cost, forces, hold, observation, "
-            "render_mode, rig, spread, start, state_weights, steps, target, upright_angle.",
+            "A SwingUp environment has no parameter 'lam'. Known: angle_spread, failure_cost, forces, hold, "
+            "observation, render_mode, rig, start, state_weights, steps, target, upright_angle.",
         ),
         (
             lambda: balance(lam=0),

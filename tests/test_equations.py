@@ -27,7 +27,7 @@ MIRROR = -np.ones(6)
 
 
 def moving(x: Array) -> NDArray[np.complex128]:
-    """Give the state with its positions moved an imaginary instant ahead, so that imaginary parts are velocities."""
+    """Return the state with its positions moved an imaginary instant ahead, so that imaginary parts are velocities."""
     ahead = x.astype(complex)
     ahead[:3] += 1e-30j * x[3:]
     return ahead
@@ -92,7 +92,7 @@ def test_links_keep_their_lengths_and_lean_to_the_positive_side(params: Any, x: 
 
 
 def dissipation(qd: Any, c: Coefficients, sqrt: Any) -> Any:
-    """Give Rayleigh's function, whose slope in the rates is the friction."""
+    """Return Rayleigh's function, whose slope in the rates is the friction."""
     vel, om1, om2 = qd
     viscous = c.b0 * vel**2 + c.b1 * om1**2 + c.b2 * (om2 - om1) ** 2
     return viscous / 2 + c.coulomb * sqrt(vel**2 + c.coulomb_speed**2)
@@ -100,7 +100,7 @@ def dissipation(qd: Any, c: Coefficients, sqrt: Any) -> Any:
 
 @cache
 def lagrange() -> Any:
-    """Give left minus right side of Lagrange's equations, and the largest of their terms, from the energies alone."""
+    """Return left minus right side of Lagrange's equations, and the largest of their terms, from the energies alone."""
     q, qd, qdd, f = (casadi.SX.sym(name, 3) for name in ("q", "qd", "qdd", "f"))
     coefficients = casadi.SX.sym("c", len(Coefficients._fields))
     c = Coefficients(*casadi.vertsplit(coefficients))

@@ -23,7 +23,7 @@ FILTERS = [EKF, UKF]
 
 
 def followed(estimator: EKF | UKF, y: Array, u: Array) -> tuple[Array, Array]:
-    """Give means and covariances after a series of measurements ``(T, n, 6)`` and commands ``(T, n)`` between them."""
+    """Return means and covariances after measurements ``(T, n, 6)`` and commands ``(T, n)`` between them."""
     follow, belief = estimator.follow_closely(y.shape[1])
     given = np.zeros(y.shape[1])
     for k, row in enumerate(y):

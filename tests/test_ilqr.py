@@ -24,7 +24,7 @@ STEP = 1e-30
 
 
 def drive(law: Any, y: Array, t: float = 0.0) -> float:
-    """Give the force for one measurement."""
+    """Return the force for one measurement."""
     return float(law(t, y[None])[0])
 
 
@@ -234,7 +234,7 @@ def test_a_plan_that_cannot_be_bettered_counts_as_converged() -> None:
 @pytest.mark.parametrize("preset", dpend.rigs())
 def test_every_preset_is_swung_up(preset: str) -> None:
     rig = dpend.rig(preset)
-    task = SwingUp(spread=0.1, steps=round(8 / rig.sample_time))
+    task = SwingUp(angle_spread=0.1, steps=round(8 / rig.sample_time))
     x0 = task.starts(np.random.default_rng(1), 3, rig)
     assert dpend.simulate_many(rig, ILQRMPC(rig), x0, task=task).success.all()
 
@@ -243,7 +243,7 @@ def test_every_preset_is_swung_up(preset: str) -> None:
 @pytest.mark.parametrize("goal", dpend.EQUILIBRIA)
 @pytest.mark.parametrize("start", dpend.EQUILIBRIA)
 def test_every_equilibrium_is_reached_from_every_other(start: str, goal: str) -> None:
-    task = SwingUp(start=start, target=goal, spread=0.1, steps=300)
+    task = SwingUp(start=start, target=goal, angle_spread=0.1, steps=300)
     x0 = task.starts(np.random.default_rng(1), 2, RIG)
     assert dpend.simulate_many(RIG, ILQRMPC(RIG, target=goal), x0, task=task).success.all()
 

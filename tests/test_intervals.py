@@ -82,7 +82,7 @@ MIDDLE, WIDTH = 0.35, 0.04
 
 
 def where(share: float) -> float:
-    """Give the level at which the logistic falls to a share."""
+    """Return the level at which the logistic falls to a share."""
     return MIDDLE - WIDTH * np.log(share / (1 - share))
 
 

@@ -20,7 +20,7 @@ from dpend.params import Array
 
 
 def casadi_jacobians(params: Params) -> Any:
-    """Give the exact Jacobians in state and cart force, by CasADi's automatic differentiation."""
+    """Return the exact Jacobians in state and cart force, by CasADi's automatic differentiation."""
     x, f = casadi.SX.sym("x", 6), casadi.SX.sym("f", 3)
     rates = symbolic.rates_function(params)(x, f)
     return casadi.Function("jacobians", [x, f], [casadi.jacobian(rates, x), casadi.jacobian(rates, f)[:, 0]])
@@ -85,7 +85,7 @@ def test_the_point_is_upright_at_rest_unless_another_is_given() -> None:
 
 
 def modes(params: Params, x: Array) -> Array:
-    """Give the growth rates of the plant's modes at a point, from the least to the greatest."""
+    """Return the growth rates of the plant's modes at a point, from the least to the greatest."""
     return np.sort(np.linalg.eigvals(linearize(params, x)[0]).real).astype(np.float64)
 
 

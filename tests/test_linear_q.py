@@ -33,7 +33,7 @@ def algorithm_1(learner, seed, episodes):
         if isinstance(task, dpend.Balance):
             th1, th2 = (task.lam * rng.uniform(-1, 1) for _ in range(2))
         else:
-            th1, th2 = (np.pi / 2 + task.spread * rng.uniform(-1, 1) for _ in range(2))
+            th1, th2 = (np.pi / 2 + task.angle_spread * rng.uniform(-1, 1) for _ in range(2))
         s = stepper.reset([0, th1, th2, 0, 0, 0])[0]
         t, failed = 0, False
         while t < task.steps and not failed:
@@ -56,7 +56,9 @@ def algorithm_1(learner, seed, episodes):
         LinearQLearning.published(RIG, task=dpend.Balance(failure_cost=3.0, state_weights=(1, 2, 3))),
         replace(LinearQLearning.published(RIG, task=dpend.Balance(criterion="report")), epsilon=0.3),
         LinearQLearning.tuned(RIG, select=False),
-        LinearQLearning(rig=RIG, task=dpend.SwingUp(start="side", spread=0.1, steps=120), alpha=1e-6, epsilon=0.3),
+        LinearQLearning(
+            rig=RIG, task=dpend.SwingUp(start="side", angle_spread=0.1, steps=120), alpha=1e-6, epsilon=0.3
+        ),
     ],
     ids=["published", "exploring", "tuned", "swing-up"],
 )
@@ -70,7 +72,7 @@ def test_the_compiled_loop_does_what_algorithm_1_says(learner):
 
 @pytest.mark.parametrize(("hold", "converges"), [(0.1, True), (3.0, False)])
 def test_a_swing_up_counts_as_successful_when_it_ends_with_both_links_up_for_long_enough(hold, converges):
-    task = dpend.SwingUp(start="up-up", spread=0.05, steps=100, hold=hold, upright_angle=0.2)
+    task = dpend.SwingUp(start="up-up", angle_spread=0.05, steps=100, hold=hold, upright_angle=0.2)
     learner = replace(LinearQLearning.tuned(RIG, select=False), task=task, streak=5, max_episodes=400)
     training = learner.train(0)
     assert training.converged == converges

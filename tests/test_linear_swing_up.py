@@ -14,7 +14,7 @@ RIG = dpend.rig("gustafsson2016")
 def test_a_roll_out_counts_as_the_simulation_does(law):
     rng = np.random.default_rng(0)
     K = np.vstack([_holding(8, rng), 30 * rng.normal(size=(20, 6))])
-    task = dpend.SwingUp(start="up-up", spread=0.02, steps=100)
+    task = dpend.SwingUp(start="up-up", angle_spread=0.02, steps=100)
     starts = task.starts(rng, len(K), RIG)
     scores, longest, up = _scores(K, starts, law, "nearest turn", 100)
     runs = dpend.simulate_many(RIG, LinearLaw(K, law, "nearest turn"), starts, task=task, record=True)

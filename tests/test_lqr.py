@@ -23,17 +23,17 @@ PRESETS = tuple(dpend.rigs())
 
 
 def sampled(rig: Rig) -> tuple[Array, Array]:
-    """Give the plant about upright, sampled."""
+    """Return the plant about upright, sampled."""
     return discretize(*linearize(rig.params), rig.sample_time)
 
 
 def radius(matrix: Any) -> float:
-    """Give the spectral radius."""
+    """Return the spectral radius."""
     return float(np.abs(np.linalg.eigvals(matrix)).max())
 
 
 def forces(controller: Any, y: Array) -> Array:
-    """Give what a controller without memory answers to measurements."""
+    """Return what a controller without memory answers to measurements."""
     return controller.start(len(y), np.random.default_rng(0))(0.0, y)
 
 
@@ -207,7 +207,7 @@ def test_each_equilibrium_is_held_by_the_regulator_about_it(name: str) -> None:
     rig = dpend.rig("gustafsson2016")
     about = dpend.EQUILIBRIA[name] + np.array([0.5, 0, 0, 0, 0, 0])
     start = about + np.array([0, 0.05, -0.05, 0, 0, 0])
-    run = dpend.simulate(rig, LQR(rig, about=about), start, 60.0, task=None)
+    run = dpend.simulate(rig, LQR(rig, target=about), start, 60.0, task=None)
     assert np.abs(run.x[-1] - about).max() < 1e-6
     assert np.abs(run.u).max() <= 40.0
 
@@ -243,7 +243,7 @@ class Loop(NamedTuple):
     feedback: Array
 
     def under(self, gain: complex) -> float:
-        """Give the spectral radius with the law multiplied by a real or complex number."""
+        """Return the spectral radius with the law multiplied by a real or complex number."""
         return radius(self.plant - gain * self.feedback)
 
 
@@ -291,7 +291,7 @@ def test_the_loop_lives_with_less_than_the_delay_margin_and_dies_of_more(loop: L
     under_way = int(loop.margins.delay_samples) + 2
 
     def over_one_sample(parts_late: int) -> Array:
-        """Give the matrix that carries the states and the last commands, the newest first, over one sample."""
+        """Return the matrix that carries the states and the last commands, the newest first, over one sample."""
         states = np.eye(6 + under_way)
         x, commands = states[:6], np.vstack([-loop.lqr.K @ states[:6], states[6:]])
         for part in range(fine):

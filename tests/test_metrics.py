@@ -18,7 +18,7 @@ TIMES = 0.02 * np.arange(500, dtype=np.float64)  # 10 s at 50 Hz
 
 
 def everything(u: Array, sample_time: float, limit: float = LIMIT) -> dict[str, float]:
-    """Give all metrics of one signal, compatibility columns too."""
+    """Return all metrics of one signal, compatibility columns too."""
     found = force_metrics(u[None], sample_time, limit) | smoothness_metrics(u[None], sample_time, limit)
     return {name: float(value[0]) for name, value in found.items()}
 

@@ -49,7 +49,7 @@ def random_states(rng: np.random.Generator, n: int) -> Array:
 
 
 def accelerations(model: Any, x: Array, f: Array) -> Array:
-    """Give MuJoCo's accelerations (n, 3), link 2's absolute, in our states under our generalised forces."""
+    """Return MuJoCo's accelerations (n, 3), link 2's absolute, in our states under our generalised forces."""
     data = mujoco.MjData(model)
     found = np.empty((len(x), 3))
     for i, (state, forces) in enumerate(zip(x, f, strict=True)):

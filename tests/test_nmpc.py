@@ -24,7 +24,7 @@ def law(controller: Any) -> Any:
 
 
 def forces(controller: NMPC, x: Array, samples: int) -> tuple[Array, Any]:
-    """Give the forces of the law in closed loop on the ideal rig, and the law."""
+    """Return the forces of the law in closed loop on the ideal rig, and the law."""
     act = law(controller)
     stepper = dpend.Stepper(controller.rig, 1)
     y = stepper.reset(x)
@@ -39,7 +39,7 @@ def forces(controller: NMPC, x: Array, samples: int) -> tuple[Array, Any]:
 
 
 def small_program(second_order: bool = True) -> Any:
-    """Give a program with two inputs, a path constraint and two steps a sample, whose derivatives CasADi can derive."""
+    """Return program with two inputs, a path constraint and two steps a sample, whose derivatives CasADi can derive."""
     x, u, p = casadi.SX.sym("x", 3), casadi.SX.sym("u", 2), casadi.SX.sym("p", 2)
     ahead = casadi.vertcat(x[1] + casadi.sin(x[2]) * u[0], x[0] * x[2] + u[1] ** 2, x[2] + 0.1 * x[0] * u[0])
     stage = Stage(
@@ -281,7 +281,7 @@ def test_several_plants_or_runs_at_once_are_refused() -> None:
 @pytest.mark.parametrize("cost", ["quadratic", "energy"])
 @pytest.mark.parametrize("start", ["hanging", "side"])
 def test_it_swings_up_within_the_limits(cost: Any, start: str) -> None:
-    task = dpend.SwingUp(start=start, spread=0.1, steps=200)
+    task = dpend.SwingUp(start=start, angle_spread=0.1, steps=200)
     x0 = task.starts(np.random.default_rng(5), 2, RIG)
     runs = dpend.simulate_many(RIG, NMPC(RIG, cost=cost), x0, task=task)
     assert runs.success.all()

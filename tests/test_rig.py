@@ -22,7 +22,7 @@ PARTS: dict[str, Any] = {"cart_mass": 1.0, "mass1": 0.5, "mass2": 0.4, "length1"
 
 
 def made(**changes: Any) -> Params:
-    """Give a plant of plain parts, some of them changed."""
+    """Return a plant of plain parts, some of them changed."""
     return Params(**(PARTS | changes))
 
 
@@ -513,7 +513,7 @@ def test_wrong_use_is_refused_before_anything_runs(
         (
             dpend.SwingUp,
             "begin",
-            "Known: failure_cost, hold, spread, start, state_weights, steps, target, upright_angle.",
+            "Known: angle_spread, failure_cost, hold, start, state_weights, steps, target, upright_angle.",
         ),
     ],
 )

@@ -157,7 +157,7 @@ def test_behind_sensors_the_state_is_measured_rates_too_or_positions_alone() -> 
 
 
 def outcomes(value: float | Array, starts: int = 20) -> dict[str, Array]:
-    """Give outcomes with the same success everywhere."""
+    """Return outcomes with the same success everywhere."""
     return {axis.name: np.broadcast_to(value, (starts, len(axis.levels))) for axis in (NOMINAL, *AXES)}
 
 
@@ -193,7 +193,7 @@ def test_a_majority_decides_a_setting_and_pulses_weaker_than_theirs_do_not_count
 
 
 def table(met: dict[str, Array], controller: str = "LQR") -> list[robustness.Row]:
-    """Give the rows of outcomes."""
+    """Return the rows of outcomes."""
     axes = {axis.name: axis for axis in (NOMINAL, *AXES)}
     return [
         row

@@ -33,7 +33,7 @@ class Played:
 
 
 def played(make: Callable[[Played], Any], forces: Array) -> Array:
-    """Give the forces ``(T, n)`` that come out of a smoothed law."""
+    """Return the forces ``(T, n)`` that come out of a smoothed law."""
     forces = forces[:, None] if forces.ndim == 1 else forces
     act = make(Played(forces)).start(forces.shape[1], RNG(0))
     return np.array([act(0.02 * k, np.zeros((forces.shape[1], 6))) for k in range(len(forces))])
@@ -87,7 +87,7 @@ def test_the_corner_frequency_is_that_of_the_time_constant() -> None:
 
 
 def tone(out: Array, omega: float) -> complex:
-    """Give size and phase of a sine in the second half of a signal at 50 Hz, over whole periods."""
+    """Return size and phase of a sine in the second half of a signal at 50 Hz, over whole periods."""
     k = np.arange(len(out))[len(out) // 2 :]
     return complex(2j * np.mean(out[len(out) // 2 :] * np.exp(-1j * omega * 0.02 * k)))
 

@@ -41,7 +41,7 @@ def options(tmp_path):
 
 
 def metrics(options, controller):
-    """Give the median of each metric over all runs of a swing-up; half a second, nobody succeeds."""
+    """Return the median of each metric over all runs of a swing-up; half a second, nobody succeeds."""
     rows = smoothness.run(Case(controller, "swing-up", "perfect").job(), options).rows
     assert all(row.successes == row.both == 0 and np.isnan(row.median) and np.isnan(row.ratio) for row in rows)
     return {row.metric: row.of_all for row in rows}

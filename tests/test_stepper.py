@@ -17,18 +17,18 @@ SENSOR, FORCE = 0, 1  # the streams of a row, as documented: one a disturbance
 
 
 def at_rest(n: int = 1) -> Array:
-    """Give states that do not move without force: hanging."""
+    """Return states that do not move without force: hanging."""
     return np.tile(dpend.EQUILIBRIA["down-down"], (n, 1))
 
 
 def drawn(seed: int, number: int, stream: int, samples: int, width: int) -> Array:
-    """Give the standard normal numbers ``(samples, width)`` that a row is to draw."""
+    """Return the standard normal numbers ``(samples, width)`` that a row is to draw."""
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, stream)))
     return generator.standard_normal((samples, width))
 
 
 def applied(rig: Rig, commands: Array, seed: int = 0) -> Array:
-    """Give the forces ``(n, T)`` that a rig applies when told commands ``(n, T)``."""
+    """Return the forces ``(n, T)`` that a rig applies when told commands ``(n, T)``."""
     stepper = Stepper(rig, len(commands), seed)
     stepper.reset(at_rest(len(commands)))
     forces = []
@@ -260,7 +260,7 @@ def test_sensor_noise_does_not_move_the_plant() -> None:
 
 
 def noises(n: int, seed: int = 0, first_row: int = 0, u: float = 0.0, samples: int = 80) -> tuple[Array, Array]:
-    """Give the noise of the sensors ``(n, T, 6)`` and of the force ``(n, T)``."""
+    """Return the noise of the sensors ``(n, T, 6)`` and of the force ``(n, T)``."""
     stepper = Stepper(endless(sensor_noise=1.0, force_noise=1.0), n, seed, first_row)
     sensor, force = [stepper.reset(at_rest(n)) - stepper.x], []
     for _ in range(samples):
@@ -360,7 +360,7 @@ def test_a_push_ends_with_its_sample() -> None:
 
 
 def trace(stepper: Stepper, x0: Array, commands: Array) -> Array:
-    """Give true and measured states and forces of all rows, sample by sample: ``(n, T, 13)``."""
+    """Return true and measured states and forces of all rows, sample by sample: ``(n, T, 13)``."""
     stepper.reset(x0)
     parts = []
     for u in commands.T:

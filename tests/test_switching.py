@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rigs import endless, random_states, whole
 
 import dpend
-from controllers import LQR, Ahead, Catch, Constant, Ellipsoid, EnergyPump, NearEnergy
+from controllers import LQR, Constant, Ellipsoid, EnergyPump, NearEnergy, RolloutRegion, SwitchingController
 from dpend.controller import Act
 from dpend.params import Array
 
@@ -51,20 +51,20 @@ def test_a_calibrated_ellipsoid_catches_fresh_starts_all_through_it() -> None:
     assert region(x).all()
     runs = dpend.simulate_many(RIG, lqr, x, 8.0, task=dpend.SwingUp())
     assert runs.success.mean() >= 0.99  # three in a thousand of the boundary may be lost, with 95 % confidence 1 %
-    assert not Ahead(RIG, lqr)(Ellipsoid(lqr, 2 * region.level).boundary(500, rng)).all()
+    assert not RolloutRegion(RIG, lqr)(Ellipsoid(lqr, 2 * region.level).boundary(500, rng)).all()
 
 
 def test_looking_ahead_tells_what_the_simulation_does() -> None:
     lqr = LQR(RIG)
     starts = dpend.Balance(lam=0.6).starts(np.random.default_rng(5), 200, RIG)
-    rests = Ahead(RIG, lqr)(starts)
+    rests = RolloutRegion(RIG, lqr)(starts)
     runs = dpend.simulate_many(RIG, lqr, starts, 8.0, task=dpend.SwingUp())
     assert 0.2 < rests.mean() < 0.8
     assert (rests == runs.success).mean() > 0.98  # slow ones may rest later
 
 
 def test_looking_ahead_judges_each_state_alone() -> None:
-    ahead = Ahead(RIG, LQR(RIG))
+    ahead = RolloutRegion(RIG, LQR(RIG))
     starts = dpend.Balance(lam=0.6).starts(np.random.default_rng(5), 30, RIG)
     assert_array_equal(ahead(starts), np.concatenate([ahead(x[None]) for x in starts]))
 
@@ -97,7 +97,7 @@ class Counting:
 
 
 def test_whoever_is_in_charge_answers_with_hysteresis_and_afresh() -> None:
-    catch = Catch(
+    catch = SwitchingController(
         RIG, Constant(-1.0), Counting(), region=lambda x: np.abs(x[:, 0]) < 0.1, leave=lambda x: np.abs(x[:, 0]) > 0.5
     )
     assert not catch.batched
@@ -110,7 +110,9 @@ def test_whoever_is_in_charge_answers_with_hysteresis_and_afresh() -> None:
 
 
 def test_in_a_batch_each_row_has_its_own_law_in_charge() -> None:
-    catch = Catch(RIG, Constant(-1.0), Constant(2.0), region=lambda x: x[:, 0] > 0, leave=lambda x: x[:, 0] < -1)
+    catch = SwitchingController(
+        RIG, Constant(-1.0), Constant(2.0), region=lambda x: x[:, 0] > 0, leave=lambda x: x[:, 0] < -1
+    )
     assert catch.batched
     act = catch.start(3, np.random.default_rng(0))
     y = np.zeros((3, 6))
@@ -123,15 +125,15 @@ def test_in_a_batch_each_row_has_its_own_law_in_charge() -> None:
 
 
 def test_a_fallen_link_is_handed_back() -> None:
-    act = Catch(RIG, Constant(-1.0)).start(1, np.random.default_rng(0))
+    act = SwitchingController(RIG, Constant(-1.0)).start(1, np.random.default_rng(0))
     fallen = np.array([[0, 2.0, 0, 0, 0, 0]])
     told = [act(0.02 * k, y)[0] for k, y in enumerate([np.zeros((1, 6)), fallen])]
     assert told == [0.0, -1.0]
 
 
 def test_a_batch_is_its_rows() -> None:
-    catch = Catch(RIG, EnergyPump(RIG))
-    starts = dpend.SwingUp(spread=0.1).starts(np.random.default_rng(2), 3, RIG)
+    catch = SwitchingController(RIG, EnergyPump(RIG))
+    starts = dpend.SwingUp(angle_spread=0.1).starts(np.random.default_rng(2), 3, RIG)
     together = dpend.simulate_many(RIG, catch, starts, 1.0, task=None)
     for row, x0 in enumerate(starts):
         assert_allclose(dpend.simulate(RIG, catch, x0, 1.0, task=None).u, together.u[row], rtol=1e-9)
@@ -139,9 +141,9 @@ def test_a_batch_is_its_rows() -> None:
 
 @pytest.mark.slow
 def test_pumping_then_catching_where_the_regulator_is_seen_to_hold_arrives_more_often_than_not() -> None:
-    task = dpend.SwingUp(spread=0.1, steps=1500)
+    task = dpend.SwingUp(angle_spread=0.1, steps=1500)
     starts = task.starts(np.random.default_rng(21), 30, RIG)
-    runs = dpend.simulate_many(RIG, Catch(RIG, EnergyPump(RIG)), starts, task=task)
+    runs = dpend.simulate_many(RIG, SwitchingController(RIG, EnergyPump(RIG)), starts, task=task)
     assert runs.success.mean() > 0.6
     assert set(runs.log["caught"][runs.success, -1]) == {1.0}
 
@@ -152,18 +154,19 @@ def test_wrong_use_is_refused() -> None:
     with pytest.raises(
         TypeError, match=whole("region must tell which states (n, 6) belong to it, as a function; got 3.")
     ):
-        Catch(RIG, Constant(1.0), region=3)  # type: ignore[arg-type]
+        SwitchingController(RIG, Constant(1.0), region=3)  # type: ignore[arg-type]
     with pytest.raises(
         ValueError, match=whole("Counting treats one run at a time; looking ahead takes a batched law.")
     ):
-        Ahead(RIG, Counting())
+        RolloutRegion(RIG, Counting())
     with pytest.raises(ValueError, match=whole("duration and within must be greater than 0; got -1.0 s and 0.2 rad.")):
-        Ahead(RIG, LQR(RIG), duration=-1.0)
+        RolloutRegion(RIG, LQR(RIG), duration=-1.0)
     two = endless(mass1=np.array([0.5, 0.6]))
     with pytest.raises(
-        ValueError, match=whole("Ahead takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).")
+        ValueError,
+        match=whole("RolloutRegion takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i)."),
     ):
-        Ahead(two, LQR(RIG))
+        RolloutRegion(two, LQR(RIG))
     with pytest.raises(
         ValueError, match=whole("NearEnergy takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).")
     ):
@@ -181,4 +184,4 @@ def test_a_batched_law_that_is_no_lqr_needs_a_region() -> None:
         "(batched = False) have one by default."
     )
     with pytest.raises(ValueError, match=whole(message)):
-        Catch(RIG, EnergyPump(RIG), Constant(1.0))
+        SwitchingController(RIG, EnergyPump(RIG), Constant(1.0))

@@ -15,7 +15,7 @@ import dpend
 from dpend import Balance, Status, SwingUp, Task, nearest_upright, wrap
 from dpend.params import Array
 from dpend.state import EQUILIBRIA, NAMES, UNITS, as_equilibrium, as_states, deviation
-from dpend.tasks import Unending
+from dpend.tasks import NoTask
 
 RIG = dpend.rig("gustafsson2016")
 OPEN = endless()
@@ -70,7 +70,7 @@ def test_swing_up_from_anywhere_starts_each_row_on_its_own_track() -> None:
 
 @pytest.mark.parametrize("start", ["hanging", "side", "up-down"])
 def test_the_spread_moves_each_angle_uniformly(start: str) -> None:
-    moved = draw(SwingUp(start=start, spread=0.3)) - draw(SwingUp(start=start))
+    moved = draw(SwingUp(start=start, angle_spread=0.3)) - draw(SwingUp(start=start))
     for angle in (1, 2):
         looks_uniform(moved[:, angle], -0.3, 0.3)
     assert abs(np.corrcoef(moved[:, 1], moved[:, 2])[0, 1]) < 0.1
@@ -78,7 +78,7 @@ def test_the_spread_moves_each_angle_uniformly(start: str) -> None:
 
 
 def test_starts_are_new_arrays_every_time() -> None:
-    for task in (Balance(), SwingUp(), SwingUp(start="side"), Unending()):
+    for task in (Balance(), SwingUp(), SwingUp(start="side"), NoTask()):
         draw(task, 3)[:] = 99.0
         assert np.abs(draw(task, 3)).max() < 99.0
 
@@ -113,14 +113,14 @@ def test_a_link_that_has_turned_all_the_way_round_has_fallen_on_the_way() -> Non
     assert statuses(Balance(), [0, 2 * np.pi, 0, 0, 0, 0]) == [Status.LINK1_FELL]
 
 
-@pytest.mark.parametrize("task", [SwingUp(), Unending()])
+@pytest.mark.parametrize("task", [SwingUp(), NoTask()])
 def test_swing_up_and_no_task_end_at_the_track_alone(task: Task) -> None:
     x = [[2.4, 9, -9, 5, 5, 5], [2.4 * (1 + EDGE), 0, 0, 0, 0, 0], [-2.5, 0, 0, 0, 0, 0]]
     assert statuses(task, x) == [Status.FULL_LENGTH, Status.TRACK_END, Status.TRACK_END]
     assert statuses(task, x, OPEN) == [Status.FULL_LENGTH] * 3
 
 
-@pytest.mark.parametrize("task", [Balance(), SwingUp(), Unending()])
+@pytest.mark.parametrize("task", [Balance(), SwingUp(), NoTask()])
 @pytest.mark.parametrize("column", range(3))
 def test_a_position_or_angle_that_is_no_number_ends_every_task(task: Task, column: int) -> None:
     x = np.zeros((3, 6))
@@ -156,7 +156,7 @@ def test_the_default_cost_is_ten_times_the_angles_and_nothing_for_failing() -> N
     expected = 10 * np.abs(wrap(x[:, 1])) + 10 * np.abs(wrap(x[:, 2]))
     for task in (Balance(), SwingUp()):
         assert_allclose(task.cost(x, codes), expected, rtol=1e-12)
-    assert not Unending().cost(x, codes).any()
+    assert not NoTask().cost(x, codes).any()
 
 
 def test_a_swing_up_is_up_while_both_links_are_within_the_angle_of_any_upright() -> None:
@@ -170,13 +170,13 @@ def test_a_swing_up_is_up_while_both_links_are_within_the_angle_of_any_upright()
 
 def test_balancing_and_no_task_ask_nothing_of_the_links_beyond_not_falling() -> None:
     x = random_states(np.random.default_rng(1), 5)
-    for task in (Balance(), Unending()):
+    for task in (Balance(), NoTask()):
         assert task.upright(x).all()
         assert task.hold == 0
 
 
 def test_tasks_are_as_long_as_the_reports_unless_told_otherwise() -> None:
-    assert (Balance().steps, SwingUp().steps, Unending().steps) == (300, 1000, None)
+    assert (Balance().steps, SwingUp().steps, NoTask().steps) == (300, 1000, None)
     assert (Balance(steps=7).steps, SwingUp(steps=8).steps) == (7, 8)
     assert SwingUp(hold=0.5).hold == 0.5
 
@@ -199,8 +199,8 @@ def test_tasks_are_as_long_as_the_reports_unless_told_otherwise() -> None:
             "start must be one of 'hanging', 'side', 'up-up', 'up-down', 'down-up', 'down-down', 'anywhere'; "
             "got 'top'.",
         ),
-        (lambda: SwingUp(spread=-0.1), "spread must be within 0 and pi rad; got -0.1."),
-        (lambda: SwingUp(spread=4.0), "spread must be within 0 and pi rad; got 4.0."),
+        (lambda: SwingUp(angle_spread=-0.1), "angle_spread must be within 0 and pi rad; got -0.1."),
+        (lambda: SwingUp(angle_spread=4.0), "angle_spread must be within 0 and pi rad; got 4.0."),
         (lambda: SwingUp(hold=-1.0), "hold must be finite and greater than 0 s; got -1.0."),
         (lambda: SwingUp(hold=np.inf), "hold must be finite and greater than 0 s; got inf."),
         (lambda: SwingUp(upright_angle=0.0), "upright_angle must be between 0 and pi rad; got 0.0."),

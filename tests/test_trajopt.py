@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rigs import random_states, whole
 
 import dpend
-from controllers import NoTrajectory, Trajectory, faults, optimize, shipped
+from controllers import NoTrajectory, Trajectory, optimize, shipped, violations
 from controllers.codegen import find_compiler
 from controllers.data import FOLDER
 from controllers.data.__main__ import RECIPES
@@ -41,7 +41,7 @@ def swing_up() -> Trajectory:
 def test_a_solution_replays_in_the_simulator_within_its_limits_and_ends_at_the_target() -> None:
     found = swing_up()
     assert found.defect() < 1e-6
-    assert faults(found, track_margin=0.2) == ""
+    assert violations(found, track_margin=0.2) == ""
     assert_array_equal(found.x[0], EQUILIBRIA["down-down"])
     assert_array_equal(found.x[-1], np.zeros(6))
     assert np.abs(found.u).max() <= RIG.force_limit
@@ -83,7 +83,7 @@ def test_minimum_time_is_no_longer_than_on_record_and_its_force_at_the_limits() 
     assert found.duration <= 1.51
     assert found.rig.sample_time == pytest.approx(found.duration / 100)
     assert found.rig.replace(sample_time=RIG.sample_time) == RIG
-    assert faults(found, track_margin=0.2) == ""
+    assert violations(found, track_margin=0.2) == ""
     assert np.mean(np.abs(found.u) > 39.9) > 0.5
 
 
@@ -187,7 +187,7 @@ def test_a_solution_that_does_not_hold_is_found_out() -> None:
     x, u = good.x.copy(), good.u.copy()
     x[20, 4] += 1e-3
     u[10] = 41.0
-    wrong = faults(replace(good, x=x, u=u, target=good.target + 0.5 * np.eye(6)[0]), track_margin=1.0)
+    wrong = violations(replace(good, x=x, u=u, target=good.target + 0.5 * np.eye(6)[0]), track_margin=1.0)
     assert [part.partition(":")[0] for part in wrong.split("; ")] == [
         "defect of a sample",
         "force above its limit, N",
@@ -257,7 +257,7 @@ def test_what_is_shipped_holds_in_the_simulator_and_says_where_it_comes_from(rec
     found = shipped(rig, recipe.start, recipe.target, recipe.objective)
     assert found is not None
     about = found.about
-    assert faults(found, track_margin=about["track_margin"]) == ""
+    assert violations(found, track_margin=about["track_margin"]) == ""
     assert_array_equal(found.x[0], STARTS[recipe.start])
     assert_allclose(np.cos(found.target[1:3]), np.cos(EQUILIBRIA[recipe.target][1:3]), atol=1e-12)
     asked = {"preset": recipe.rig, "start": recipe.start, "target": recipe.target, "objective": recipe.objective}

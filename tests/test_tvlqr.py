@@ -32,13 +32,13 @@ def stored(start: str = "hanging", target: str = "up-up") -> Trajectory:
 
 
 def resting(rig: Rig, about: str, samples: int) -> Trajectory:
-    """Give the trajectory that stays at an equilibrium."""
+    """Return the trajectory that stays at an equilibrium."""
     target = EQUILIBRIA[about]
     return Trajectory(rig=rig, x=np.tile(target, (samples + 1, 1)), u=np.zeros(samples), target=target)
 
 
 def rolled_out(rig: Rig, x0: Array, u: Array) -> Array:
-    """Give the states ``(N + 1, 6)`` that forces lead through."""
+    """Return the states ``(N + 1, 6)`` that forces lead through."""
     stepper = Stepper(rig, 1)
     stepper.reset(x0)
     states = [x0]
@@ -80,7 +80,7 @@ def test_the_sensitivities_are_those_of_the_complex_step() -> None:
 @pytest.mark.parametrize("about", tuple(EQUILIBRIA))
 def test_along_a_trajectory_that_rests_the_gain_is_the_regulators(about: str) -> None:
     trajectory = resting(RIG, about, 40)
-    controller, regulator = TVLQR(RIG, trajectory), LQR(RIG, (10, 100, 100, 1, 10, 10), 0.02, about=about)
+    controller, regulator = TVLQR(RIG, trajectory), LQR(RIG, (10, 100, 100, 1, 10, 10), 0.02, target=about)
     assert_array_equal(controller.K[-1], regulator.K[0])
     # Runge-Kutta steps and the exponential differ in the fifth order of the sample time.
     assert_allclose(controller.K, np.tile(regulator.K, (41, 1)), rtol=2e-3)
@@ -170,7 +170,7 @@ def test_whole_turns_do_not_matter() -> None:
 @pytest.mark.parametrize("start", ["hanging", "side"])
 def test_it_brings_up_what_starts_up_to_a_fifth_of_a_radian_off(start: str) -> None:
     controller = TVLQR(RIG, stored(start))
-    assert success(controller, SwingUp(start=start, spread=0.2, steps=250), 200) >= 198
+    assert success(controller, SwingUp(start=start, angle_spread=0.2, steps=250), 200) >= 198
 
 
 @pytest.mark.parametrize(("index", "least"), [("time", 180), ("nearest", 192)])
@@ -181,7 +181,7 @@ def test_it_brings_up_plants_whose_masses_and_lengths_are_five_percent_off(index
 @pytest.mark.slow
 @pytest.mark.parametrize(("start", "target"), list(itertools.permutations(EQUILIBRIA, 2)))
 def test_it_moves_between_any_two_equilibria(start: str, target: str) -> None:
-    task = SwingUp(start=start, target=target, spread=0.1, steps=275)
+    task = SwingUp(start=start, target=target, angle_spread=0.1, steps=275)
     assert success(TVLQR(RIG, stored(start, target)), task, 50) >= 49
 
 

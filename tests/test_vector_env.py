@@ -19,7 +19,7 @@ from dpend import Act, Balance, Rig, Status, SwingUp
 from dpend.draw import Picture
 from dpend.env import CartDoublePendulumEnv, balance
 from dpend.params import Array
-from dpend.tasks import Unending
+from dpend.tasks import NoTask
 from dpend.vector_env import CartDoublePendulumVectorEnv, balance_vector, swing_up_vector
 
 RIG = dpend.rig("gustafsson2016")
@@ -51,7 +51,7 @@ def random_actions(envs: Any, steps: int, seed: int = 0) -> list[Any]:
 
 
 def observed(envs: Any, steps: int = 60, *, seed: int | None = 0) -> Array:
-    """Give the observations ``(steps + 1, n, ...)`` under random actions."""
+    """Return the observations ``(steps + 1, n, ...)`` under random actions."""
     return np.array([envs.reset(seed=seed)[0], *(envs.step(actions)[0] for actions in random_actions(envs, steps))])
 
 
@@ -136,7 +136,7 @@ def test_a_law_ends_as_it_does_in_simulate_many_noise_included(
 def pair(
     task: Balance | SwingUp, mode: AutoresetMode, forces: list[float] | None, observation: str, n: int = 6
 ) -> tuple[CartDoublePendulumVectorEnv, Any]:
-    """Give the native environment, and Gymnasium's own around single ones."""
+    """Return the native environment, and Gymnasium's own around single ones."""
     native = CartDoublePendulumVectorEnv(task, RIG, n, forces=forces, observation=observation, autoreset_mode=mode)
     single = [lambda: CartDoublePendulumEnv(task, RIG, forces=forces, observation=observation)] * n
     return native, SyncVectorEnv(single, autoreset_mode=mode)
@@ -200,7 +200,7 @@ def test_copies_end_and_begin_anew_as_gymnasium_has_it(
 
 
 def test_without_a_length_no_episode_is_cut_short() -> None:
-    envs = CartDoublePendulumVectorEnv(Unending(), RIG, 2)
+    envs = CartDoublePendulumVectorEnv(NoTask(), RIG, 2)
     envs.reset(seed=0)
     assert not any(envs.step(np.zeros((2, 1)))[3].any() for _ in range(1200))
 

@@ -16,7 +16,7 @@ FOLDER = Path(__file__).parent
 
 
 def file_name(rig: str, start: str, target: str, objective: str) -> str:
-    """Give the name of the file of a trajectory for a preset; hanging and down-down are the same start."""
+    """Return the name of the file of a trajectory for a preset; hanging and down-down are the same start."""
     return f"{rig}_{'hanging' if start == 'down-down' else start}_{target}_{objective}.npz"
 
 
@@ -26,7 +26,7 @@ def shipped(
     target: str = "up-up",
     objective: Literal["effort", "time"] = "effort",
 ) -> Trajectory | None:
-    """Give the stored trajectory for exactly this plant, clock and limits; None if there is none.
+    """Return the stored trajectory for exactly this plant, clock and limits; None if there is none.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ class Recipe(NamedTuple):
 
 
 def played_backwards(trajectory: Trajectory) -> Trajectory:
-    """Give the motion from the target back to the start, were there no friction: rates change their signs."""
+    """Return the motion from the target back to the start, were there no friction: rates change their signs."""
     x = trajectory.x[::-1] * np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
     return replace(trajectory, x=x, u=trajectory.u[::-1], target=trajectory.x[0])
 
