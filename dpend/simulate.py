@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .controller import Act, Controller, check_controller, is_batched
+from .episode import UprightClock
 from .params import Array
 from .rig import Rig, as_rig
 from .run import Run, Runs
@@ -227,10 +228,8 @@ def _simulate_block(
     final = x0.copy()
     travel = np.abs(x0[:, 0])
     alive = codes == 0
-    upright_since = np.zeros(n, dtype=np.int64)
-    watch_upright = task.hold > 0
-    if watch_upright:
-        upright_since[~task.upright(x0)] = samples + 1
+    upright = UprightClock(task, rig, n)
+    upright.begin(x0)
     if true is not None and measured is not None:
         true[0], measured[0] = x0, y
     if not alive.all():
@@ -251,10 +250,7 @@ def _simulate_block(
         np.fmax(travel, np.abs(x[:, 0]), out=travel, where=alive)  # noise and pushes move what is parked
         if true is not None and measured is not None:
             true[k + 1], measured[k + 1] = x, y
-        if watch_upright:
-            up = task.upright(x)
-            np.minimum(upright_since, k + 1, out=upright_since, where=up)
-            upright_since[~up] = samples + 1
+        upright.tick(x)
         ended = task.ended(x, rig)
         ending = alive & (ended != 0)
         if ending.any():
@@ -269,9 +265,7 @@ def _simulate_block(
         true[1:][after_end] = np.nan
         measured[1:][after_end] = np.nan
     final[alive] = stepper.x[alive]
-    held = (samples - upright_since) * rig.sample_time
-    upright_long_enough = (upright_since <= samples) & (held >= task.hold - 1e-9) if watch_upright else alive
-    success = alive & upright_long_enough
+    success = upright.success(codes)
     return Runs(
         t=t,
         u=forces.T,
@@ -280,7 +274,7 @@ def _simulate_block(
         success=success,
         final=final,
         travel=travel,
-        time_up=np.where(success & watch_upright, upright_since * rig.sample_time, np.nan),
+        time_up=np.where(success & upright.asked, (samples - upright.samples) * rig.sample_time, np.nan),
         step_time=np.broadcast_to(seconds / n, (n, samples)),
         log=_log(act, n, samples, after_end),
         rig=rig,

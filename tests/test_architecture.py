@@ -132,7 +132,9 @@ def inside(name: str) -> set[str]:
 @pytest.mark.parametrize(
     ("name", "allowed"),
     [
-        ("kernels", {"equations", "params", "provenance", "state", "status"}),
+        ("archive", set()),
+        ("episode", {"status"}),
+        ("kernels", {"episode", "equations", "params", "provenance", "state", "status"}),
         ("symbolic", {"equations", "params", "rig"}),
         ("plant", {"equations", "params"}),
         ("linear", {"params", "plant"}),
