@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from time import perf_counter
 
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked_seed, checked_whole
 from .controller import Act, Controller, check_controller, is_batched
 from .episode import UprightClock
 from .params import Array
@@ -19,6 +18,7 @@ from .run import Run, Runs
 from .state import as_states
 from .stepper import CONTROLLER_STREAM, Stepper, checked_push, row_sequence
 from .tasks import Balance, NoTask, Task, checked_task
+from .workers import pool
 
 Push = Callable[[float], npt.ArrayLike]
 """Generalised forces on cart (N), link 1 and link 2 (N m), ``(3,)`` or ``(N, 3)``, as a function of time in s."""
@@ -134,8 +134,7 @@ def simulate_many(
         raise ValueError("x0 has no rows; expected at least one initial state.")
     if rig.n not in (None, len(states)):
         raise ValueError(f"The rig describes {rig.n} rows, x0 has {len(states)}; expected the same number.")
-    if workers < 1:
-        raise ValueError(f"workers must be at least 1; got {workers}.")
+    workers = checked_whole("workers", workers)
     the_task: Task = NoTask() if task is None else checked_task(task)
     samples = _samples(rig, the_task, duration)
     if push is not None:
@@ -146,24 +145,11 @@ def simulate_many(
     blocks = [slice(start, min(start + rows, len(states))) for start in range(0, len(states), rows)]
     simulate_block = partial(_simulate_block, rig, controller, states, samples, the_task, push, seed, first_row, record)
     if workers > 1 and not is_batched(controller) and len(blocks) > 1:
-        with ProcessPoolExecutor(min(workers, len(blocks)), mp_context=get_context("spawn")) as pool:
-            parts = list(pool.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))))
+        with pool(min(workers, len(blocks)), controller=controller, task=the_task, push=push) as executor:
+            parts = list(executor.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))))
     else:
         parts = [simulate_block(block) for block in blocks]
     return parts[0] if len(parts) == 1 else Runs.join(parts, rig)
-
-
-def checked_seed(name: str, value: object) -> int:
-    """Return a seed, or the number of a row, as an integer.
-
-    Raises
-    ------
-    TypeError
-        If it is not a whole number, at least zero.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise TypeError(f"{name} must be a whole number, at least 0; got {value!r}.")
-    return int(value)
 
 
 def _samples(rig: Rig, task: Task, duration: float | None) -> int:

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from .arguments import is_finite
+from .arguments import checked_whole, is_finite
 from .deprecation import renamed_arguments, renamed_exports
 from .params import Array
 from .rig import Rig
@@ -138,11 +138,6 @@ class ReportCost:
         return _codes(x, rig, *self.angle_limits)
 
 
-def _checked_steps(steps: object) -> None:
-    if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
-        raise ValueError(f"steps must be a whole number of samples, at least 1; got {steps!r}.")
-
-
 @suggests
 @dataclass(frozen=True, kw_only=True)
 class Balance(ReportCost):
@@ -175,7 +170,7 @@ class Balance(ReportCost):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_lam(self.lam)
-        _checked_steps(self.steps)
+        checked_whole("steps", self.steps)
         if self.criterion not in ("strict", "report"):
             raise ValueError(f'criterion must be "strict" or "report"; got {self.criterion!r}.')
 
@@ -265,7 +260,7 @@ class SwingUp(ReportCost):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _checked_steps(self.steps)
+        checked_whole("steps", self.steps)
         if not isinstance(self.start, str) or (self.start != "anywhere" and self.start not in STARTS):
             known = (*STARTS, "anywhere")
             raise ValueError(f"start must be one of {', '.join(map(repr, known))}; got {self.start!r}.")
