@@ -36,3 +36,14 @@ def checked_whole(name: str, value: object, least: int = 1) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be a whole number, at least {least}; got {value!r}.")
     return int(value)
+
+
+def checked_seed(name: str, value: object) -> int:
+    """Return a seed, or the number of a row, as an integer.
+
+    Raises
+    ------
+    ValueError
+        If it is not a whole number, at least zero.
+    """
+    return checked_whole(name, value, least=0)

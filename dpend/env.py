@@ -1,7 +1,6 @@
 """The Gymnasium environments ``dpend/Balance-v0`` and ``dpend/SwingUp-v0``: one rig, one agent, one episode at a time.
 
-What single and vector environments share is stated here: the spaces, what an action means, what is observed, and when
-an episode counts as a success.
+What single and vector environments share is stated here: the spaces, what an action means, what is observed.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 from gymnasium.error import InvalidAction, ResetNeeded
 
+from .episode import UprightClock
 from .params import Array
 from .rig import Rig, as_rig
 from .state import as_states
@@ -92,11 +92,10 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
         self.metadata = self.metadata | {"render_fps": frames_per_second(self.rig)}
         self._force_limit = float(self.rig.force_limit)
         self._length = math.inf if self.task.steps is None else self.task.steps
-        self._watch_upright = self.task.hold > 0
+        self._upright = UprightClock(self.task, self.rig, 1)
         self._stepper: Stepper | None = None
         self._picture: Any = None
         self._steps = 0
-        self._held = 0
         self._over: str | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -129,7 +128,7 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
             self._stepper = Stepper(self.rig, 1, noise_seed(self))
         y = self._stepper.reset(self.task.starts(self.np_random, 1, self.rig) if x0 is None else x0)
         self._steps = 0
-        self._held = 0 if not self._watch_upright or self.task.upright(self._stepper.x)[0] else -1
+        self._upright.begin(self._stepper.x)
         self._over = None
         if self.render_mode == "human":
             self.render()
@@ -167,13 +166,12 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
         terminated = codes.item() != 0
         self._steps += 1
         truncated = self._steps >= self._length
-        if self._watch_upright:
-            self._held = self._held + 1 if self.task.upright(x)[0] else -1
+        self._upright.tick(x)
         info: dict[str, Any] = {"state": x.flatten(), "force": stepper.force.item()}
         if terminated or truncated:
             self._over = _MESSAGES[codes[0]]
             info["status"] = self._over
-            info["success"] = bool(not terminated and held_long_enough(self._held, self.task, self.rig))
+            info["success"] = bool(self._upright.success(codes)[0])
         if self.render_mode == "human" and np.isfinite(x).all():
             self.render()
         return with_sines(y)[0] if self._trig else y[0], reward, terminated, truncated, info
@@ -405,8 +403,3 @@ def noise_seed(env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]) -> 
     if not isinstance(seed, int) or seed < 0:  # Gymnasium's sign of a generator whose seed it does not know
         return int(env.np_random.integers(2**63))
     return seed
-
-
-def held_long_enough(held: Any, task: Task, rig: Rig) -> Any:
-    """Return whether so many samples since the links were last not upright, -1 where they are not, make a success."""
-    return held * rig.sample_time >= task.hold - 1e-9

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from . import archive
 from .metrics import force_metrics, smoothness_metrics
 from .params import Array
 from .rig import Rig, as_rig
@@ -23,25 +22,7 @@ if TYPE_CHECKING:
 Layout = dict[str, tuple[tuple[int, ...], type]]
 
 
-def _write(path: Path, form: str, about: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> Path:
-    """Write arrays and a description as a compressed ``.npz`` that can hold no code."""
-    if not path.suffix:
-        path = path.with_suffix(".npz")
-    text = json.dumps({"format": form} | about, default=lambda of_numpy: of_numpy.tolist())
-    with path.open("wb") as file:
-        np.savez_compressed(file, about=np.array(text), **cast(Any, arrays))
-    return path
-
-
-def _read(path: str | Path, form: str) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
-    with Path(path).open("rb") as source, np.load(source, allow_pickle=False) as file:
-        about = json.loads(str(file["about"]))
-        arrays = {name: file[name] for name in file.files if name != "about"}
-    if about.pop("format") != form:
-        raise ValueError("another format")
-    return about, arrays
-
-
+_RUN, _RUNS = "dpend run 1", "dpend runs 1"
 _LOG = "log "
 
 
@@ -57,19 +38,7 @@ def _unmarked(arrays: dict[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]
 
 def _check_arrays(arrays: dict[str, npt.NDArray[Any]], layout: Layout) -> None:
     if {name: (array.shape, array.dtype) for name, array in arrays.items()} != layout:
-        raise ValueError("other arrays")
-
-
-@contextmanager
-def _reading(path: str | Path, kind: str) -> Iterator[None]:
-    """Say of whatever a foreign file makes the readers stumble over that it is foreign."""
-    try:
-        yield
-    except OSError:
-        raise
-    except Exception as error:
-        what = "a run" if kind == "Run" else "runs"
-        raise ValueError(f"{path} is not {what} saved by {kind}.save, or it is damaged.") from error
+        raise ValueError("its arrays have other names, shapes or types")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -214,7 +183,7 @@ class Run:
             "row": self.row,
         }
         arrays = {name: getattr(self, name) for name in ("t", "x", "y", "u", "step_time")} | _marked(self.log)
-        return _write(Path(path), "dpend run 1", about, arrays)
+        return archive.write(path, _RUN, about, arrays)
 
     @classmethod
     def from_csv(
@@ -308,8 +277,7 @@ class Run:
         ValueError
             If it is not a saved run, or is damaged.
         """
-        with _reading(path, "Run"):
-            about, arrays = _read(path, "dpend run 1")
+        with archive.opened(path, _RUN) as (about, arrays):
             log = _unmarked(arrays)
             steps = arrays["u"].size
             shapes = {"t": (steps + 1,), "x": (steps + 1, 6), "y": (steps + 1, 6), "u": (steps,), "step_time": (steps,)}
@@ -467,7 +435,7 @@ class Runs:
         }
         arrays = {name: getattr(self, name) for name in self._layout(len(self), self.u.shape[1])}
         kept = {k: array for k, array in arrays.items() if array is not None} | _marked(self.log)
-        return _write(Path(path), "dpend runs 1", about, kept)
+        return archive.write(path, _RUNS, about, kept)
 
     @classmethod
     def load(cls, path: str | Path) -> Runs:
@@ -480,8 +448,7 @@ class Runs:
         ValueError
             If it does not hold saved runs, or is damaged.
         """
-        with _reading(path, "Runs"):
-            about, arrays = _read(path, "dpend runs 1")
+        with archive.opened(path, _RUNS) as (about, arrays):
             log = _unmarked(arrays)
             layout = cls._layout(*arrays["u"].shape)
             _check_arrays(arrays, {k: form for k, form in layout.items() if k in arrays or k not in ("x", "y")})

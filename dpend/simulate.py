@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from time import perf_counter
 
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked_seed, checked_whole
 from .controller import Act, Controller, check_controller, is_batched
+from .episode import UprightClock
 from .params import Array
 from .rig import Rig, as_rig
 from .run import Run, Runs
 from .state import as_states
 from .stepper import CONTROLLER_STREAM, Stepper, checked_push, row_sequence
 from .tasks import Balance, NoTask, Task, checked_task
+from .workers import pool
 
 Push = Callable[[float], npt.ArrayLike]
 """Generalised forces on cart (N), link 1 and link 2 (N m), ``(3,)`` or ``(N, 3)``, as a function of time in s."""
@@ -133,8 +134,7 @@ def simulate_many(
         raise ValueError("x0 has no rows; expected at least one initial state.")
     if rig.n not in (None, len(states)):
         raise ValueError(f"The rig describes {rig.n} rows, x0 has {len(states)}; expected the same number.")
-    if workers < 1:
-        raise ValueError(f"workers must be at least 1; got {workers}.")
+    workers = checked_whole("workers", workers)
     the_task: Task = NoTask() if task is None else checked_task(task)
     samples = _samples(rig, the_task, duration)
     if push is not None:
@@ -145,24 +145,11 @@ def simulate_many(
     blocks = [slice(start, min(start + rows, len(states))) for start in range(0, len(states), rows)]
     simulate_block = partial(_simulate_block, rig, controller, states, samples, the_task, push, seed, first_row, record)
     if workers > 1 and not is_batched(controller) and len(blocks) > 1:
-        with ProcessPoolExecutor(min(workers, len(blocks)), mp_context=get_context("spawn")) as pool:
-            parts = list(pool.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))))
+        with pool(min(workers, len(blocks)), controller=controller, task=the_task, push=push) as executor:
+            parts = list(executor.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))))
     else:
         parts = [simulate_block(block) for block in blocks]
     return parts[0] if len(parts) == 1 else Runs.join(parts, rig)
-
-
-def checked_seed(name: str, value: object) -> int:
-    """Return a seed, or the number of a row, as an integer.
-
-    Raises
-    ------
-    TypeError
-        If it is not a whole number, at least zero.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise TypeError(f"{name} must be a whole number, at least 0; got {value!r}.")
-    return int(value)
 
 
 def _samples(rig: Rig, task: Task, duration: float | None) -> int:
@@ -227,10 +214,8 @@ def _simulate_block(
     final = x0.copy()
     travel = np.abs(x0[:, 0])
     alive = codes == 0
-    upright_since = np.zeros(n, dtype=np.int64)
-    watch_upright = task.hold > 0
-    if watch_upright:
-        upright_since[~task.upright(x0)] = samples + 1
+    upright = UprightClock(task, rig, n)
+    upright.begin(x0)
     if true is not None and measured is not None:
         true[0], measured[0] = x0, y
     if not alive.all():
@@ -251,10 +236,7 @@ def _simulate_block(
         np.fmax(travel, np.abs(x[:, 0]), out=travel, where=alive)  # noise and pushes move what is parked
         if true is not None and measured is not None:
             true[k + 1], measured[k + 1] = x, y
-        if watch_upright:
-            up = task.upright(x)
-            np.minimum(upright_since, k + 1, out=upright_since, where=up)
-            upright_since[~up] = samples + 1
+        upright.tick(x)
         ended = task.ended(x, rig)
         ending = alive & (ended != 0)
         if ending.any():
@@ -269,9 +251,7 @@ def _simulate_block(
         true[1:][after_end] = np.nan
         measured[1:][after_end] = np.nan
     final[alive] = stepper.x[alive]
-    held = (samples - upright_since) * rig.sample_time
-    upright_long_enough = (upright_since <= samples) & (held >= task.hold - 1e-9) if watch_upright else alive
-    success = alive & upright_long_enough
+    success = upright.success(codes)
     return Runs(
         t=t,
         u=forces.T,
@@ -280,7 +260,7 @@ def _simulate_block(
         success=success,
         final=final,
         travel=travel,
-        time_up=np.where(success & watch_upright, upright_since * rig.sample_time, np.nan),
+        time_up=np.where(success & upright.asked, (samples - upright.samples) * rig.sample_time, np.nan),
         step_time=np.broadcast_to(seconds / n, (n, samples)),
         log=_log(act, n, samples, after_end),
         rig=rig,

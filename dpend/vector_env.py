@@ -20,12 +20,12 @@ from .env import (
     check_starts,
     checked_forces,
     frames_per_second,
-    held_long_enough,
     noise_seed,
     observation_space,
     task_from,
     with_sines,
 )
+from .episode import UprightClock
 from .kernels import compiled
 from .params import Array
 from .rig import Rig, as_rig
@@ -168,11 +168,10 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         }
         self._one_rig_a_copy = self.rig.n is not None
         self._length = np.iinfo(np.int64).max if self.task.steps is None else self.task.steps
-        self._watch_upright = self.task.hold > 0
+        self._upright = UprightClock(self.task, self.rig, num_envs)
         self._stepper: Stepper | None = None
         self._pictures: list[Any] = []
         self._steps = np.zeros(self.num_envs, dtype=np.int64)
-        self._held = np.zeros(self.num_envs, dtype=np.int64)
         self._force_limits = np.full(self.num_envs, self.rig.force_limit)
         self._over: Indices = np.empty(0, dtype=np.intp)
         self._over_ahead: Indices = np.empty(self.num_envs, dtype=np.intp)
@@ -264,9 +263,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         y = stepper.step(self._commands(actions))
         codes = self.task.ended(stepper.x, self.rig)
         costs = self.task.cost(stepper.x, codes)
-        if self._watch_upright:
-            self._held += 1
-            self._held[~self.task.upright(stepper.x)] = -1
+        self._upright.tick(stepper.x)
         begun = self._over  # none but with AutoresetMode.NEXT_STEP
         if len(begun):
             y[begun] = self._begin(begun)
@@ -277,9 +274,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         self._over = over = self._over_ahead[:count].copy()
         infos: dict[str, Any] = {}
         if len(over):
-            success = truncated & ~terminated
-            if self._watch_upright:
-                success &= held_long_enough(self._held, self.task, self.rig)
+            success = truncated & self._upright.success(codes)
             done = terminated | truncated
             ends = {"status": codes, "_status": done, "success": success, "_success": done.copy()}
             if self._mode is AutoresetMode.SAME_STEP:
@@ -324,8 +319,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         if x0 is None:
             x0 = self._starts(rows)
         self._steps[rows] = 0
-        if self._watch_upright:
-            self._held[rows] = np.where(self.task.upright(x0), 0, -1)
+        self._upright.begin(x0, rows)
         return self._stepper.reset(x0, rows)
 
     def _starts(self, rows: Indices) -> Array:

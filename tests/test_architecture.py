@@ -132,7 +132,9 @@ def inside(name: str) -> set[str]:
 @pytest.mark.parametrize(
     ("name", "allowed"),
     [
-        ("kernels", {"equations", "params", "provenance", "state", "status"}),
+        ("archive", set()),
+        ("episode", {"status"}),
+        ("kernels", {"episode", "equations", "params", "provenance", "state", "status"}),
         ("symbolic", {"equations", "params", "rig"}),
         ("plant", {"equations", "params"}),
         ("linear", {"params", "plant"}),
@@ -140,6 +142,7 @@ def inside(name: str) -> set[str]:
         ("tasks", {"arguments", "deprecation", "kernels", "params", "rig", "state", "suggest"}),
         ("stepper", {"kernels", "params", "rig", "state"}),
         ("controller", {"params"}),
+        ("workers", {"arguments"}),
     ],
 )
 def test_within_the_rig_each_module_knows_only_what_it_stands_on(name: str, allowed: set[str]) -> None:

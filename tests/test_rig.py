@@ -466,7 +466,7 @@ class Column:
         ),
         (
             ValueError,
-            "workers must be at least 1; got 0.",
+            "workers must be a whole number, at least 1; got 0.",
             lambda: simulate_many(RIG, Zero(), UPRIGHT, 1.0, workers=0),
         ),
         (
