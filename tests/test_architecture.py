@@ -136,7 +136,7 @@ def inside(name: str) -> set[str]:
         ("symbolic", {"equations", "params", "rig"}),
         ("plant", {"equations", "params"}),
         ("linear", {"params", "plant"}),
-        ("rig", {"params", "suggest"}),
+        ("rig", {"equations", "params", "suggest"}),
         ("tasks", {"arguments", "deprecation", "kernels", "params", "rig", "state", "suggest"}),
         ("stepper", {"kernels", "params", "rig", "state"}),
         ("controller", {"params"}),

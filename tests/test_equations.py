@@ -10,7 +10,8 @@ import casadi
 import numba
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from rigs import endless, forces, plants, random_forces, random_params, random_states, row, states, whole
@@ -165,6 +166,30 @@ def test_friction_of_joint_2_vanishes_when_the_links_turn_together() -> None:
     assert_allclose(
         dpend.rates(apart, 0.0, stiff), dpend.rates(apart, np.array([0.0, -torque, torque]), params), rtol=1e-12
     )
+
+
+@given(plants(friction=False), st.floats(0.5, 50.0), st.floats(0.0, 100.0), st.floats(0.0, 20.0), st.floats(0.1, 1.0))
+@settings(max_examples=50, deadline=None)
+def test_energy_never_rises_under_friction_however_stiff(
+    params: Params, coulomb: float, viscous: float, joint: float, speed: float
+) -> None:
+    params = replace(params, cart_coulomb=coulomb, cart_friction=viscous, joint2_friction=joint)
+    stepper = Stepper(endless(params=params, sample_time=0.02, substeps=2), 1)
+    stepper.reset([0, np.pi, np.pi, speed, 0, 0])
+    total = [dpend.energies(stepper.x[0], params).total]
+    for _ in range(150):
+        stepper.step(np.zeros(1))
+        total.append(dpend.energies(stepper.x[0], params).total)
+    assert np.diff(total).max() <= 1e-5 * speed**2
+
+
+@pytest.mark.parametrize("name", ["gustafsson2016", "pilco2011"])
+def test_a_cart_with_coulomb_friction_comes_to_rest(name: str) -> None:
+    stepper = Stepper(endless(name, cart_coulomb=5.0, joint1_friction=1.0, joint2_friction=1.0, sensor_noise=0.0), 1)
+    stepper.reset([0, np.pi + 0.5, np.pi, 1.0, 0, 0])
+    for _ in range(round(40 / stepper.rig.sample_time)):
+        stepper.step(np.zeros(1))
+    assert np.abs(stepper.x[0, 3:]).max() < 1e-3
 
 
 def test_energy_is_conserved_without_friction() -> None:
