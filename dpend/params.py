@@ -107,6 +107,19 @@ def common_length(owner: str, values: dict[str, object]) -> int | None:
     return next(iter(lengths.values()), None)
 
 
+def checked_params(what: str, params: object) -> Params:
+    """Return the plant, if it is one.
+
+    Raises
+    ------
+    TypeError
+        If it is something else, such as a rig; the message names ``what`` takes it.
+    """
+    if not isinstance(params, Params):
+        raise TypeError(f"{what} takes dpend.Params, such as rig.params; got {type(params).__name__}.")
+    return params
+
+
 @suggests
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Params:

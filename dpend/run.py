@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -56,7 +56,7 @@ class Run:
     step_time : ndarray (T,)
         Seconds that the controller took for each.
     log : mapping of str to ndarray (T,)
-        What the controller told of each of its steps, such as a solver's iterations.
+        What the controller logged of each of its steps, such as a solver's iterations.
     status : Status
         How the run ended.
     success : bool
@@ -314,7 +314,7 @@ class Runs:
         Seconds that the controller took for each; a batched law's time is shared equally
         among all rows, and counts on until the last of its batch has ended.
     log : mapping of str to ndarray (N, T)
-        What the controller told of each of its steps, such as a solver's iterations.
+        What the controller logged of each of its steps, such as a solver's iterations.
     x, y : ndarray (N, T + 1, 6), optional
         True and measured states, where they were recorded.
     rig : Rig
@@ -387,16 +387,28 @@ class Runs:
         """
         return smoothness_metrics(self.u, self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
 
-    def __getitem__(self, row: int) -> Run:
-        """Return one recorded run, cut at its end.
+    @overload
+    def __getitem__(self, row: int) -> Run: ...
+    @overload
+    def __getitem__(self, row: slice) -> Runs: ...
+    def __getitem__(self, row: int | slice) -> Run | Runs:
+        """Return one recorded run, cut at its end; or, of a slice such as ``[1:3]``, some runs side by side.
 
         Raises
         ------
+        TypeError
+            If the row is no whole number.
         IndexError
             If there is no such row.
         ValueError
-            If the states were not recorded.
+            If the states were not recorded, or a slice is empty or leaves rows out in between.
         """
+        if isinstance(row, slice):
+            return self._part(range(len(self))[row])
+        if isinstance(row, bool) or not isinstance(row, int | np.integer):
+            raise TypeError(
+                f"A run is taken out by a whole number, several by a slice: runs[0], runs[1:3]; got {row!r}."
+            )
         if self.x is None or self.y is None:
             raise ValueError("These runs hold no states; simulate them with record=True.")
         row = range(len(self))[row]
@@ -415,7 +427,23 @@ class Runs:
             task=self.task,
             seed=self.seed,
             row=self.first_row + row,
-            log={name: told[row, :steps] for name, told in self.log.items()},
+            log={name: values[row, :steps] for name, values in self.log.items()},
+        )
+
+    def _part(self, rows: range) -> Runs:
+        if rows.step != 1 or not rows:
+            raise ValueError(
+                f"A slice of runs must hold at least one, and neighbours only; got rows {list(rows)} of {len(self)}. "
+                "Take others one by one: [runs[i] for i in ...]."
+            )
+        cut = slice(rows.start, rows.stop)
+        arrays = {name: getattr(self, name) for name in self._layout(1, 1) if name != "t"}
+        return replace(
+            self,
+            rig=self.rig.rows(cut),
+            first_row=self.first_row + rows.start,
+            log={name: values[cut] for name, values in self.log.items()},
+            **{name: None if array is None else array[cut] for name, array in arrays.items()},
         )
 
     def save(self, path: str | Path) -> Path:

@@ -97,6 +97,34 @@ def test_a_file_name_without_a_suffix_is_given_one(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"one.npz", "two.run"}
 
 
+def test_a_slice_of_runs_is_runs(tmp_path: Path) -> None:
+    runs = dpend.simulate_many(one_rig_a_row(12), Feedback(), STARTS, 0.2, record=True)
+    some = runs[3:-4]
+    assert len(some) == 5
+    for one, other in zip(some, list(runs)[3:-4], strict=True):
+        assert_same(one, other)
+    assert_same(Runs.load(some.save(tmp_path / "some.npz"))[1], runs[4])
+
+
+@pytest.mark.parametrize(
+    ("row", "error", "message"),
+    [
+        (1.5, TypeError, "A run is taken out by a whole number, several by a slice: runs[0], runs[1:3]; got 1.5."),
+        (True, TypeError, "A run is taken out by a whole number, several by a slice: runs[0], runs[1:3]; got True."),
+        (
+            slice(0, 5, 2),
+            ValueError,
+            "A slice of runs must hold at least one, and neighbours only; got rows [0, 2, 4] of 12. Take others one by "
+            "one: [runs[i] for i in ...].",
+        ),
+    ],
+)
+def test_what_is_no_row_is_refused(row: Any, error: type[Exception], message: str) -> None:
+    runs = dpend.simulate_many(RIG, Feedback(), STARTS, 0.1, record=True)
+    with pytest.raises(error, match=whole(message)):
+        runs[row]
+
+
 class Trap:
     """What a pickle runs when it is opened."""
 
