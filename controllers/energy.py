@@ -18,6 +18,8 @@ from dpend.params import Array
 from dpend.plant import energies, rates
 from dpend.rig import Rig, single_rig
 
+from .wrapping import holding
+
 
 class EnergySwingUp:
     r"""Law :math:`F = -(k_v\alpha + k_x p + k_d\dot p)/(k_E(E - E_r) + k_v\beta)`, shaping energy by passivity.
@@ -113,7 +115,7 @@ class EnergySwingUp:
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
-        return _with_kick(self.force, self.kick, self.rig, self.energy)
+        return holding(n, _with_kick(self.force, self.kick, self.rig, self.energy))
 
 
 class EnergyPump:
@@ -202,7 +204,7 @@ class EnergyPump:
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
-        return _with_kick(self.force, self.kick, self.rig, self.energy)
+        return holding(n, _with_kick(self.force, self.kick, self.rig, self.energy))
 
 
 def _cart_response(x: Array, rig: Rig) -> tuple[Array, Array]:

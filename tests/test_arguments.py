@@ -84,5 +84,5 @@ def test_a_word_where_a_number_belongs_is_refused_with_what_was_expected(make, m
 def test_numpys_whole_numbers_are_taken():
     number: Any = np.int32(7)
     assert NMPC(RIG, max_iterations=number).max_iterations == 7
-    assert ILQRMPC(RIG, horizon=number, iterations=number, starts=number).horizon == 7
+    assert ILQRMPC(RIG, iterations=number, starts=number).starts == 7
     assert LSPI(RIG, iterations=number).iterations == 7

@@ -58,7 +58,7 @@ def test_the_slopes_of_a_sample_are_those_of_the_complex_step(substeps: int) -> 
     N = 40  # more than a block
     x, u = random_states(rng, N + 1), rng.uniform(-40, 40, N)
     D = np.empty((N, 6, 8))
-    ilqr_kernels.linearise(x, u, planner(rig).problem, D)
+    ilqr_kernels.linearize(x, u, planner(rig).problem, D)
     rk4 = equations.make_rk4(equations.make_rates(np.sin, np.cos))
     for column in range(7):
         moved, force = x[:-1].T.astype(complex), u.astype(complex)
@@ -74,7 +74,7 @@ def test_the_slopes_of_a_sample_are_those_of_the_complex_step(substeps: int) -> 
 
 
 def test_on_a_linear_quadratic_problem_the_backward_pass_gives_the_riccati_gain() -> None:
-    mpc = planner(endless(), horizon=20)
+    mpc = planner(endless(), horizon=0.4)
     x, u = np.zeros((21, 6)), np.zeros(20)
     D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
     A, B = (np.asarray(part) for part in dpend.discretize(*dpend.linearize(mpc.rig.params), mpc.rig.sample_time))
@@ -85,10 +85,10 @@ def test_on_a_linear_quadratic_problem_the_backward_pass_gives_the_riccati_gain(
 
 
 def test_a_clamped_force_has_no_feedback_and_stays_in_the_box() -> None:
-    mpc = planner(RIG, horizon=20)
+    mpc = planner(RIG, horizon=0.4)
     plan = mpc.straight(mpc.problem, np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0]))
     D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
-    ilqr_kernels.linearise(plan.x, plan.u, mpc.problem, D)
+    ilqr_kernels.linearize(plan.x, plan.u, mpc.problem, D)
     ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 0.0, du, K)
     clamped = np.abs(plan.u + du) == RIG.force_limit
     assert clamped.any()
@@ -103,7 +103,7 @@ def test_a_clamped_force_has_no_feedback_and_stays_in_the_box() -> None:
 
 def test_cost_never_rises_over_iterations() -> None:
     mpc = planner(RIG)
-    plan = mpc.kicked(mpc.problem, HANGING.copy(), mpc.noise(np.random.default_rng(1)))
+    plan = mpc.driven(mpc.problem, HANGING.copy(), mpc.noise(np.random.default_rng(1)))
     costs = [plan.cost]
     for _ in range(30):
         plan = mpc.improved(mpc.problem, plan, 1, 0.0)
@@ -112,10 +112,10 @@ def test_cost_never_rises_over_iterations() -> None:
     assert costs[-1] < 0.2 * costs[0]
 
 
-def test_the_cost_that_is_told_is_that_of_the_motion() -> None:
+def test_the_cost_in_the_record_is_that_of_the_motion() -> None:
     rig = RIG
-    plan = ilqr(rig, HANGING, horizon=60, starts=0, iterations=5)
-    mpc = planner(rig, horizon=60)
+    plan = ilqr(rig, HANGING, horizon=1.2, starts=0, iterations=5)
+    mpc = planner(rig, horizon=1.2)
     e = np.stack([_residuals(x, ilqr_kernels.nearest_target(tuple(x), mpc.problem)) for x in plan.x])
     over = np.maximum(np.abs(plan.x[:, 0]) - 2.25, 0)
     stages = (e[:-1] ** 2 * mpc.Q).sum() + 0.1 * (plan.u**2).sum() + 1e4 * (over**2).sum()
@@ -129,7 +129,7 @@ def _residuals(x: Array, target: Any) -> Array:
 
 
 def test_a_swing_up_is_planned_from_hanging_at_rest() -> None:
-    plan = ilqr(RIG, HANGING, horizon=125, iterations=400)
+    plan = ilqr(RIG, HANGING, horizon=2.5, iterations=400)
     assert isinstance(plan, Trajectory)
     assert plan.about["converged"]
     assert plan.about["starts_tried"] == 10
@@ -138,25 +138,25 @@ def test_a_swing_up_is_planned_from_hanging_at_rest() -> None:
     assert plan.defect() < 1e-9
     assert np.abs(plan.u).max() <= RIG.force_limit
     assert np.abs(plan.x[:, 0]).max() < RIG.track_limit
-    again = ilqr(RIG, HANGING, horizon=125, iterations=400)
+    again = ilqr(RIG, HANGING, horizon=2.5, iterations=400)
     assert_array_equal(again.u, plan.u)
 
 
 def test_gaps_between_guessed_states_are_closed() -> None:
     x0 = np.array([0.0, 0.3, -0.1, 0.0, 0.0, 0.0])
     guess = np.linspace(1, 0, 51)[:, None] * x0
-    plan = ilqr(RIG, x0, horizon=50, x_guess=guess)
+    plan = ilqr(RIG, x0, horizon=1, x_guess=guess)
     assert plan.about["converged"]
     assert plan.about["starts_tried"] == 1
     assert plan.defect() < 1e-9
-    unfinished = ilqr(RIG, x0, horizon=50, x_guess=guess, iterations=0)
+    unfinished = ilqr(RIG, x0, horizon=1, x_guess=guess, iterations=0)
     assert not unfinished.about["converged"]
     assert unfinished.defect() < 1e-9
 
 
 def test_a_guess_of_forces_is_followed_and_clipped() -> None:
     guess = np.linspace(-100, 100, 30)
-    plan = ilqr(RIG, HANGING, horizon=30, u_guess=guess, iterations=0)
+    plan = ilqr(RIG, HANGING, horizon=0.6, u_guess=guess, iterations=0)
     assert_array_equal(plan.u, np.clip(guess, -40, 40))
 
 
@@ -272,7 +272,12 @@ def test_a_rig_twice_as_long_with_time_scaled_alike_moves_alike() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"horizon": 1}, "horizon must be a whole number, at least 2; got 1."),
+        ({"horizon": 0.02}, "horizon must be from 0.04 to 20 s, 2 to 1000 samples; got 0.02."),
+        (
+            {"horizon": 40},
+            "horizon must be from 0.04 to 20 s, 2 to 1000 samples; got 40. If samples are meant, that is horizon=0.8.",
+        ),
+        ({"horizon": "long"}, "horizon must be from 0.04 to 20 s, 2 to 1000 samples; got 'long'."),
         ({"iterations": -1}, "iterations must be a whole number, at least 0; got -1."),
         ({"starts": 1.5}, "starts must be a whole number, at least 0; got 1.5."),
         (
@@ -314,4 +319,4 @@ def test_several_plants_and_no_gravity_are_refused() -> None:
 )
 def test_wrong_guesses_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=whole(message)):
-        ilqr(**({"rig": RIG, "x0": np.zeros(6), "horizon": 10} | changes))
+        ilqr(**({"rig": RIG, "x0": np.zeros(6), "horizon": 0.2} | changes))
