@@ -106,6 +106,21 @@ def make_links_upright(wrap_angle: Callable[..., Any]) -> Callable[..., Any]:
     return links_upright
 
 
+def make_upright_reward(cos: Callable[..., Any], exp: Callable[..., Any]) -> Callable[..., Any]:
+    r"""Return the default reward of a swing-up, :mod:`dpend.rewards`, as a function of a state and its status code.
+
+    ``slowness`` is :math:`2L/g` with the mean length of the links.
+    """
+
+    def upright_reward(x, code, target, slowness):
+        if code != 0:
+            return 0.0
+        far = 5.0 * (2.0 - cos(x[1] - target[0]) - cos(x[2] - target[1]))
+        return 0.5 + 0.5 * exp(-far - slowness * (x[4] * x[4] + x[5] * x[5]))
+
+    return upright_reward
+
+
 def counted(held, upright):
     """Return for how many samples both links have been up without a break, -1 where they are not.
 

@@ -215,6 +215,7 @@ def plant_step(x, f, coefficients, h, substeps):
 wrap_angle = inline(state.wrap_angle)
 status_code = inline(episode.status_code)
 report_cost = inline(episode.make_report_cost(wrap_angle))
+upright_reward = inline(episode.make_upright_reward(cos, math.exp))
 links_upright = inline(episode.make_links_upright(wrap_angle))
 counted = inline(episode.counted)
 succeeded = inline(episode.succeeded)
@@ -249,3 +250,11 @@ def rows_upright(x, target, angle, upright):
     """Fill in which states ``(n, 6)`` have both links within an angle of where they are to be."""
     for i in range(len(upright)):
         upright[i] = links_upright(_row(x, i), target, angle)
+
+
+@compiled
+def upright_rewards(x, codes, target, slowness, rewards):
+    """Fill in the default reward of a swing-up for states ``(n, 6)``; ``slowness`` is ``(1,)`` or ``(n,)``."""
+    slow = np.broadcast_to(slowness, rewards.shape)
+    for i in range(len(rewards)):
+        rewards[i] = upright_reward(_row(x, i), codes[i], target, slow[i])
