@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import html
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -19,7 +21,7 @@ from .state import wrap
 from .status import Status
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from .draw import Film, Plot
 
 Layout = dict[str, tuple[tuple[int, ...], type]]
 
@@ -155,19 +157,37 @@ class Run:
         measured = smoothness_metrics(self.u[None], self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
         return {name: float(value[0]) for name, value in measured.items()}
 
-    def plot(self) -> Figure:
-        """Draw position, angles, rates and force against time.
+    @property
+    def title(self) -> str:
+        """What ran and how it ended; where there was a task, whether it was done, and since when both links were up."""
+        since = f": both links up after {self.time_up:.2f} s" if np.isfinite(self.time_up) else ""
+        judged = np.isfinite(self.time_up) or (self.task != "None" and not self.success)
+        verdict = f"\n{'Success' if self.success else 'No success'}{since}." if judged else ""
+        return f"{self.controller}\n{self.status.value}{verdict}"
+
+    def _repr_html_(self) -> str:
+        picture = base64.b64encode(self.plot()._repr_png_()).decode()
+        words = html.escape(f"{self.title}\n{self.t[-1]:g} s on {self.task}").replace("\n", "<br>")
+        return f'<p>{words}</p><img width="480" src="data:image/png;base64,{picture}">'
+
+    def show(self) -> None:
+        """Show :meth:`plot`: in the notebook, or in a window until that is closed."""
+        self.plot().show()
+
+    def plot(self) -> Plot:
+        """Return position, angles, rates and force drawn against time, and pushes where there were any.
 
         Returns
         -------
         matplotlib.figure.Figure
+            Notebooks show it; ``figure.savefig(path)`` writes it, ``figure.show()`` opens a window.
         """
         from .draw import plot_run
 
         return plot_run(self)
 
-    def animate(self, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Path:
-        """Write an animation: a GIF, or an MP4 where ffmpeg is there.
+    def animate(self, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Film:
+        """Return the path of an animation, written there: a GIF, or an MP4 where ffmpeg is there.
 
         Parameters
         ----------
@@ -180,8 +200,8 @@ class Run:
 
         Returns
         -------
-        Path
-            The file.
+        Film
+            The path, which notebooks play.
 
         Raises
         ------
