@@ -59,6 +59,11 @@ _BOUNDS = {
 }
 
 
+def unit_of(name: str) -> str:
+    """Return the SI unit of a field of :class:`Params`."""
+    return _BOUNDS[name][0]
+
+
 def checked_number(name: str, value: object, unit: str, least: float, least_allowed: bool) -> Number:
     """Return ``value`` as a float, or as a read-only array of one number a row, if it is finite and large enough.
 

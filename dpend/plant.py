@@ -12,6 +12,9 @@ from . import equations
 from .arguments import checked_array, is_finite
 from .params import Array, Params, checked_params
 
+PUSHES = {"push_cart": "on cart [N]", "push_link1": "on link 1 [N m]", "push_link2": "on link 2 [N m]"}
+"""What a run's log calls the generalised forces that acted beside the actuator, and what figures call them."""
+
 _MOST_EVALUATIONS = 50_000  # of the rates, in an interval of the reference
 
 _rates = equations.make_rates(np.sin, np.cos)

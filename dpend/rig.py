@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .equations import make_acceleration_slopes
-from .params import Number, Params, checked_number, common_length
+from .params import Number, Params, checked_number, common_length, unit_of
 from .suggest import suggestion, suggests
 
 Count = int | npt.NDArray[np.int64]
@@ -292,6 +292,12 @@ class Rig:
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path} describes no rig: {str(error).rstrip('.')}.") from error
 
+    def _repr_html_(self) -> str:
+        rows = {name: (value, _UNITS.get(name, "")) for name, value in self._own().items()}
+        rows |= {name: (value, unit_of(name)) for name, value in self.params.to_dict().items() if value is not None}
+        cells = (f"<tr><th>{name}</th><td>{value}</td><td>{unit}</td></tr>" for name, (value, unit) in rows.items())
+        return f"<table>{''.join(cells)}</table>"
+
     def _own(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "params"}
 
@@ -304,6 +310,15 @@ class Rig:
     __hash__ = None  # type: ignore[assignment]  # a field may be an array
 
 
+_UNITS = {
+    "sample_time": "s",
+    "force_limit": "N",
+    "track_limit": "m",
+    "actuator_lag": "s",
+    "actuator_delay": "samples",
+    "force_noise": "N",
+    "sensor_delay": "samples",
+}
 _PLANT_FIELDS = {field.name for field in fields(Params)}
 
 

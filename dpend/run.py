@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import html
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,10 +16,11 @@ from . import archive
 from .metrics import force_metrics, smoothness_metrics
 from .params import Array
 from .rig import Rig, as_rig
+from .state import wrap
 from .status import Status
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from .draw import Film, Plot
 
 Layout = dict[str, tuple[tuple[int, ...], type]]
 
@@ -123,19 +126,37 @@ class Run:
         measured = smoothness_metrics(self.u[None], self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
         return {name: float(value[0]) for name, value in measured.items()}
 
-    def plot(self) -> Figure:
-        """Draw position, angles, rates and force against time.
+    @property
+    def title(self) -> str:
+        """What ran and how it ended; where there was a task, whether it was done, and since when both links were up."""
+        since = f": both links up after {self.time_up:.2f} s" if np.isfinite(self.time_up) else ""
+        judged = np.isfinite(self.time_up) or (self.task != "None" and not self.success)
+        verdict = f"\n{'Success' if self.success else 'No success'}{since}." if judged else ""
+        return f"{self.controller}\n{self.status.value}{verdict}"
+
+    def _repr_html_(self) -> str:
+        picture = base64.b64encode(self.plot()._repr_png_()).decode()
+        words = html.escape(f"{self.title}\n{self.t[-1]:g} s on {self.task}").replace("\n", "<br>")
+        return f'<p>{words}</p><img width="480" src="data:image/png;base64,{picture}">'
+
+    def show(self) -> None:
+        """Show :meth:`plot`: in the notebook, or in a window until that is closed."""
+        self.plot().show()
+
+    def plot(self) -> Plot:
+        """Return position, angles, rates and force drawn against time, and pushes where there were any.
 
         Returns
         -------
         matplotlib.figure.Figure
+            Notebooks show it; ``figure.savefig(path)`` writes it, ``figure.show()`` opens a window.
         """
         from .draw import plot_run
 
         return plot_run(self)
 
-    def animate(self, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Path:
-        """Write an animation: a GIF, or an MP4 where ffmpeg is there.
+    def animate(self, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Film:
+        """Return the path of an animation, written there: a GIF, or an MP4 where ffmpeg is there.
 
         Parameters
         ----------
@@ -148,8 +169,8 @@ class Run:
 
         Returns
         -------
-        Path
-            The file.
+        Film
+            The path, which notebooks play.
 
         Raises
         ------
@@ -190,20 +211,25 @@ class Run:
         cls,
         path: str | Path,
         rig: Rig | str,
-        columns: Mapping[str, str] | None = None,
+        columns: Mapping[str, str | None] | None = None,
         *,
         angle_unit: str | float | Sequence[float] = "rad",
         position_unit: float = 1.0,
         force_unit: float = 1.0,
+        time_unit: str | float = "s",
         zero: str = "up",
         relative: bool = False,
+        clamped: bool = False,
         tolerance: float = 0.01,
+        resample: bool = False,
         any_size: bool = False,
     ) -> Run:
-        r"""Read what a laboratory recorded: a table with a line of column names, then one line a sample.
+        r"""Return what a laboratory recorded: a table with a line of column names, then one line a sample.
 
         A line holds the time, what was measured then, and the force from then on; commas, semicolons or tabs
-        separate its cells.  What is measured stands in ``y``, and in ``x`` too, since nobody knows better.
+        separate its cells.  Decimal signs are points or commas, the text is Unicode or of a Windows code page.  What
+        is measured stands in ``y``, and in ``x`` too, for want of anything better.  ``success`` says whether neither
+        link ever leaned by more than a quarter turn.
 
         Parameters
         ----------
@@ -214,19 +240,27 @@ class Run:
         columns : mapping of str to str, optional
             Headings of ``"t"``, ``"pos"``, ``"th1"``, ``"th2"`` and of ``"u"``, the force on the cart, or
             ``"command"``, the force asked for, of which the rig's actuator (delay, limit, lag) makes the force; where
-            the file calls them so, leave them out.  ``"vel"``, ``"om1"``, ``"om2"`` are taken where they are there;
-            else they are the slopes of parabolas through seven samples.
+            the file calls them so, leave them out.  ``{"u": None}`` says that no force acted.
+            ``"vel"``, ``"om1"``, ``"om2"`` are taken where they are there; else they are slopes of parabolas through
+            seven samples.
         angle_unit : {"rad", "deg"}, float, or two floats
             Radians in a unit of the angles, such as ``2 * pi / 4096`` for encoder counts; negative where the encoder
             counts the other way, a pair where the two differ.  Jumps of a whole turn are undone.
         position_unit, force_unit : float
             Metres and newtons in a unit of position and force; negative where the direction is the other.
+        time_unit : {"s", "ms", "us"} or float
+            Seconds in a unit of the times.
         zero : {"up", "down"}
             Where the angles are zero.
         relative : bool
             Whether the second angle is that of link 2 against link 1, and its rate too.
+        clamped : bool
+            Whether the cart was held fast: it stands at 0, and neither its position nor a force is read.
         tolerance : float
             Share of the sample time by which the times may depart from a uniform clock.
+        resample : bool
+            Take any increasing times, and return the motion on the rig's clock: states by cubic splines, forces by
+            their mean over each sample.
         any_size : bool
             Accept numbers that look like those of another unit.
 
@@ -249,7 +283,19 @@ class Run:
 
         rig = as_rig(rig)
         t, x, u = read_recording(
-            path, rig, columns, angle_unit, position_unit, force_unit, zero, relative, tolerance, any_size
+            path,
+            rig,
+            columns,
+            angle_unit,
+            position_unit,
+            force_unit,
+            time_unit,
+            zero,
+            relative,
+            clamped,
+            tolerance,
+            resample,
+            any_size,
         )
         return cls(
             t=t,
@@ -258,7 +304,7 @@ class Run:
             u=u,
             step_time=np.full(len(u), np.nan),
             status=Status.FULL_LENGTH,
-            success=True,
+            success=bool((np.abs(wrap(x[:, 1:3])) <= np.pi / 2).all()),
             time_up=float("nan"),
             rig=rig,
             controller="a recording",

@@ -13,6 +13,7 @@ from .arguments import checked_seed, checked_whole
 from .controller import Act, Controller, check_controller, is_batched
 from .episode import UprightClock
 from .params import Array
+from .plant import PUSHES
 from .rig import Rig, as_rig
 from .run import Run, Runs
 from .state import as_states
@@ -54,7 +55,8 @@ def simulate(
     task : Task, optional
         What ends the run and what counts as success; None ends it only at the track's end.
     push : callable, optional
-        Generalised forces that act beside the actuator's, as a function of time, held over each sample.
+        Generalised forces that act beside the actuator's, as a function of time, held over each sample; the run's log
+        keeps them as ``push_cart`` (N), ``push_link1`` and ``push_link2`` (N m).
     seed : int
         What the disturbances are drawn from.
 
@@ -106,7 +108,8 @@ def simulate_many(
     task : Task, optional
         What ends a run and what counts as success; None ends it only at the track's end.
     push : callable, optional
-        Generalised forces that act beside the actuator's, as a function of time, held over each sample.
+        Generalised forces that act beside the actuator's, as a function of time, held over each sample; the run's log
+        keeps them as ``push_cart`` (N), ``push_link1`` and ``push_link2`` (N m).
     seed : int
         What the disturbances are drawn from: row ``i`` from ``(seed, first_row + i)``.
     first_row : int
@@ -207,6 +210,7 @@ def _simulate_block(
     t = rig.sample_time * np.arange(samples + 1, dtype=np.float64)
     forces = np.full((samples, n), np.nan)
     seconds = np.full(samples, np.nan)
+    pushes = None if push is None else np.full((samples, n, 3), np.nan)
     true = np.full((samples + 1, n, 6), np.nan) if record else None
     measured = np.full((samples + 1, n, 6), np.nan) if record else None
     codes = task.ended(x0, rig)
@@ -230,9 +234,12 @@ def _simulate_block(
         if not alive.all():
             u = np.where(alive, u, 0.0)
         pushed = None if push is None else checked_push(push(float(t[k])), len(states))
-        y = stepper.step(u, pushed if pushed is None or pushed.ndim == 1 else pushed[block])
+        pushed = pushed if pushed is None or pushed.ndim == 1 else pushed[block]
+        y = stepper.step(u, pushed)
         x = stepper.x
         forces[k] = stepper.force
+        if pushes is not None:
+            pushes[k] = pushed
         np.fmax(travel, np.abs(x[:, 0]), out=travel, where=alive)  # noise and pushes move what is parked
         if true is not None and measured is not None:
             true[k + 1], measured[k + 1] = x, y
@@ -252,6 +259,10 @@ def _simulate_block(
         measured[1:][after_end] = np.nan
     final[alive] = stepper.x[alive]
     success = upright.success(codes)
+    log = _log(act, n, samples, after_end)
+    if pushes is not None:
+        pushes[after_end] = np.nan
+        log |= dict(zip(PUSHES, pushes.T, strict=True))
     return Runs(
         t=t,
         u=forces.T,
@@ -262,7 +273,7 @@ def _simulate_block(
         travel=travel,
         time_up=np.where(success & upright.asked, (samples - upright.samples) * rig.sample_time, np.nan),
         step_time=np.broadcast_to(seconds / n, (n, samples)),
-        log=_log(act, n, samples, after_end),
+        log=log,
         rig=rig,
         controller=getattr(controller, "name", type(controller).__name__),
         task=repr(task),
