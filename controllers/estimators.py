@@ -22,7 +22,7 @@ from dpend.rig import Rig, ideal_rig, single_rig
 from dpend.state import wrap
 from dpend.stepper import Stepper
 
-from .wrapping import Wrapper, log_of, watch, with_logs
+from .wrapping import Wrapper, finite_rows, log_of, watch, with_logs
 
 Follow = Callable[[Array, Array], Array]
 r"""An estimator at work, :math:`\hat x = \mathrm{follow}(y, u)`: measurements ``(n, 6)`` and the commands ``(n,)`` that
@@ -105,11 +105,12 @@ class Differences:
         def follow(y: Array, _: Array) -> Array:
             nonlocal samples
             samples = samples + 1
-            fresh = np.isfinite(y[:, :3]).all(axis=1)
-            moved = y[:, :3] - estimate[:, :3]
+            fresh = finite_rows(y[:, :3])
+            positions = np.where(fresh[:, None], y[:, :3], estimate[:, :3])
+            moved = positions - estimate[:, :3]
             moved[:, 1:] = wrap(moved[:, 1:])
             rates = np.where(seen[:, None], moved / (samples * self.rig.sample_time), 0.0)
-            estimate[fresh] = np.concatenate([y[:, :3], rates], axis=1)[fresh]
+            estimate[fresh] = np.concatenate([positions, rates], axis=1)[fresh]
             samples[fresh] = 0
             seen[fresh] = True
             return estimate.copy()
@@ -147,7 +148,7 @@ class Predictor:
         def follow(y: Array, u: Array) -> Array:
             nonlocal last
             under_way.add(u)
-            finite = np.isfinite(y).all(axis=1, keepdims=True)
+            finite = finite_rows(y)[:, None]
             with np.errstate(all="ignore"):
                 if not finite.all():
                     y = np.where(finite, y, _predict(model, last, [under_way.last_before_measured()]))
@@ -232,7 +233,7 @@ class _Filter:
             nonlocal mean, covariance, samples
             under_way.add(u)
             samples += 1
-            there = np.isfinite(y[:, :3]).all(axis=1)
+            there = finite_rows(y[:, :3])
             measured = np.where(there[:, None], y[:, :3], mean[:, :3])
             with np.errstate(all="ignore"):  # what diverges is begun again
                 if samples > rig.sensor_delay:  # until then the sensors repeat the first reading

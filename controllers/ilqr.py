@@ -23,7 +23,7 @@ import math
 from collections import ChainMap
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -428,9 +428,9 @@ class _Horizon:
     def __init__(
         self, planner: _Planner, iterations: int, starts: int, explore: bool, rng: np.random.Generator
     ) -> None:
-        self._record: dict[str, list[float]] = {"status": [], "iterations": [], "cost": []}
+        self._record: dict[str, list[Any]] = {"status": [], "iterations": [], "cost": []}
         held, self._missing_in = watch(1)
-        self.log = ChainMap(self._record, held)
+        self.log: ChainMap[str, list[Any]] = ChainMap(self._record, held)
         self._planner = planner
         self._iterations = iterations
         self._starts = starts

@@ -367,6 +367,14 @@ def _keep(x, u, K, x_new, u_new, K_new):
     _set_row(x, len(u), _row(x_new, len(u)))
 
 
+@inline
+def next_damping(damping, better):
+    """Return the damping after an iteration: soon none where plans get better, so that the last steps are Newton's."""
+    if better:
+        return 0.2 * damping if damping > 1e-3 else 0.0
+    return max(10.0 * damping, 1e-2)
+
+
 @compiled
 def improve(x, u, K, p, P, iterations, tolerance, trials):
     """Improve a plan in place; return whether it converged, the iterations tried and accepted, and the cost.
@@ -429,9 +437,7 @@ def improve(x, u, K, p, P, iterations, tolerance, trials):
             cost = cost_new
             accepted += 1
             fresh = False
-            damping = 0.2 * damping if damping > 1e-3 else 0.0  # to zero, for the last steps converge quadratically
-        else:
-            damping = max(10.0 * damping, 1e-2)  # the same linearization stands, so only the backward pass is repeated
+        damping = next_damping(damping, better)
     if gaps > 0.0:
         cost = rollout(start, x, u, K, np.zeros(N), D, 1.0, p, P, x_new, u_new)
         _keep(x, u, K, x_new, u_new, K)

@@ -100,6 +100,11 @@ def holding(n: int, law: Act) -> Act:
     return with_logs(act, log, log_of(law))
 
 
+def finite_rows(y: Array) -> npt.NDArray[np.bool_]:
+    """Return in which rows ``(n,)`` all numbers are finite."""
+    return np.asarray(np.isfinite(y).all(axis=1))
+
+
 def watch(n: int) -> tuple[dict[str, list[Array]], Callable[[Array], npt.NDArray[np.bool_] | None]]:
     """Return a log, and what enters under ``held`` which rows of the measurements of a call are not finite.
 
@@ -113,7 +118,7 @@ def watch(n: int) -> tuple[dict[str, list[Array]], Callable[[Array], npt.NDArray
         calls += 1
         if np.isfinite(y).all() and not log:  # far faster than row by row
             return None
-        missing = ~np.isfinite(y).all(axis=1)
+        missing = ~finite_rows(y)
         log.setdefault("held", [np.zeros(n)] * (calls - 1)).append(missing.astype(np.float64))
         return missing
 

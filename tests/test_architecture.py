@@ -198,7 +198,6 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "controllers/codegen.py",
         "controllers/shooting.py",
         "controllers/nmpc.py",
-        "controllers/switching.py",
     ),
     "matplotlib": ("dpend/draw.py", "studies/*"),
     "torch": ("rl/sb3.py", "rl/pilco.py"),
@@ -220,11 +219,30 @@ def test_a_heavy_library_stays_in_its_rooms(library: str) -> None:
     assert not astray
 
 
-def test_importing_the_rig_loads_nothing_heavy() -> None:
-    heavy = ("numba", "scipy", "control", "casadi", "matplotlib", "torch")
-    program = f"import sys, dpend; print([name for name in {heavy} if name in sys.modules])"
+@pytest.mark.parametrize(
+    ("statement", "heavy"),
+    [
+        ("import dpend", ("numba", "scipy", "control", "casadi", "matplotlib", "torch")),
+        ("from controllers import LQR; LQR('gustafsson2016')", ("numba", "control", "casadi", "matplotlib", "torch")),
+    ],
+)
+def test_what_is_light_loads_nothing_heavy(statement: str, heavy: tuple[str, ...]) -> None:
+    program = f"import sys; {statement}; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
+
+
+def test_a_name_is_exported_as_type_checkers_see_it() -> None:
+    module = importlib.import_module("controllers")
+    (seen,) = (node for node in tree(SOURCES["controllers/__init__.py"]).body if isinstance(node, ast.If))
+    imported = {name.name: node.module for node in seen.body if isinstance(node, ast.ImportFrom) for name in node.names}
+    assert imported == module._MODULES
+    assert set(imported) == set(module.__all__)
+
+
+def test_ilqr_is_the_function_whatever_has_been_imported() -> None:
+    function = importlib.import_module("controllers.ilqr").ilqr
+    assert importlib.import_module("controllers").ilqr is function
 
 
 def test_no_module_is_a_drawer_for_odds_and_ends() -> None:

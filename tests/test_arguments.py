@@ -59,7 +59,7 @@ def test_what_is_no_whole_number_or_too_small_is_refused_by_name(value):
         ),
         (lambda: ilqr(RIG, [0] * 6, tolerance=A), "tolerance must be finite and at least 0; got 'a'."),
         (lambda: EnergySwingUp(RIG, k_x=A), "k_x must be a finite number greater than 0; got 'a'."),
-        (lambda: EnergyPump(RIG, kick=A), "kick must be a finite force in N; got 'a'."),
+        (lambda: EnergyPump(RIG, perturbation=A), "perturbation must be a finite force in N; got 'a'."),
         (lambda: LQR(RIG, R=A), "R, the weight of the force, must be a finite number greater than 0; got 'a'."),
         (lambda: BangBang(LQR(RIG), A), "force must be finite and greater than 0 N; got 'a'."),
         (lambda: Constant(A), "force must be finite, in N; got 'a'."),
