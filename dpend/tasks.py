@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from types import ModuleType
 from typing import Protocol
 
@@ -120,13 +120,22 @@ class ReportCost:
     def cost(self, x: Array, codes: Codes) -> Array:
         """Return the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
         costs = np.empty(len(x))
-        _kernels().report_costs(x, codes, *self.target_angles, *self.state_weights, self.failure_cost, costs)
+        _kernels().report_costs(x, codes, self.target_angles, self.state_weights, self.failure_cost, costs)
         return costs
 
     @property
     def target_angles(self) -> tuple[float, float]:
         """Angles of link 1 and of link 2 from which the cost is counted, rad; upright unless a task says otherwise."""
         return 0.0, 0.0
+
+    @property
+    def angle_limits(self) -> tuple[float, float]:
+        """Greatest absolute angle of link 1 and of link 2, rad; none unless a task says otherwise."""
+        return math.inf, math.inf
+
+    def ended(self, x: Array, rig: Rig) -> Codes:
+        """Return status codes: the track's end, a fallen link, or zero."""
+        return _codes(x, rig, *self.angle_limits)
 
 
 def _checked_steps(steps: object) -> None:
@@ -175,7 +184,7 @@ class Balance(ReportCost):
         """Balancing succeeds by lasting; no time upright is asked for beside it."""
         return 0.0
 
-    @cached_property
+    @property
     def angle_limits(self) -> tuple[float, float]:
         """Greatest absolute angle of link 1 and of link 2, rad."""
         return math.pi / 2, math.pi / 2 if self.criterion == "strict" else math.inf
@@ -185,10 +194,6 @@ class Balance(ReportCost):
         x = np.zeros((n, 6))
         x[:, 1:3] = self.lam * rng.uniform(-1.0, 1.0, (n, 2))
         return x
-
-    def ended(self, x: Array, rig: Rig) -> Codes:
-        """Return status codes: the track's end, a fallen link, or zero."""
-        return _codes(x, rig, *self.angle_limits)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Return that every state will do: balancing asks for nothing but to last."""
@@ -294,14 +299,10 @@ class SwingUp(ReportCost):
         x[:, 1:3] = STARTS[self.start][1:3] + self.angle_spread * rng.uniform(-1.0, 1.0, (n, 2))
         return x
 
-    def ended(self, x: Array, rig: Rig) -> Codes:
-        """Return status codes: the track's end, or zero."""
-        return _codes(x, rig, math.inf, math.inf)
-
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Return which states have both links within ``upright_angle`` of the target's angles."""
         upright = np.empty(len(x), dtype=np.bool_)
-        _kernels().links_upright(x, *self.target_angles, self.upright_angle, upright)
+        _kernels().rows_upright(x, self.target_angles, self.upright_angle, upright)
         return upright
 
 
