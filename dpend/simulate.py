@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from .arguments import checked_seed, checked_whole
-from .controller import Act, Controller, check_controller, is_batched
+from .controller import Act, Controller, Law, LawError, as_controller, is_batched, name_of
 from .episode import UprightClock
 from .params import Array
 from .rig import Rig, as_rig
 from .run import Run, Runs
 from .state import as_states
+from .status import Status
 from .stepper import CONTROLLER_STREAM, Stepper, checked_push, row_sequence
 from .tasks import Balance, NoTask, Task, checked_task
 from .workers import pool
@@ -31,7 +33,7 @@ BLOCK = 4096
 
 def simulate(
     rig: Rig,
-    controller: Controller,
+    controller: Controller | Law,
     x0: npt.ArrayLike,
     duration: float | None = None,
     *,
@@ -45,8 +47,8 @@ def simulate(
     ----------
     rig : Rig
         The true rig; what the controller believes is its own affair.
-    controller : Controller
-        The law.
+    controller : Controller or callable
+        The law; a plain function ``law(t, x)`` of one state ``(6,)`` will do.
     x0 : array_like (6,)
         The initial state.
     duration : float, optional
@@ -66,6 +68,13 @@ def simulate(
     ------
     TypeError, ValueError
         Before anything runs, if an argument is wrong.
+    LawError
+        If the law fails while it runs; the error keeps the runs so far.
+
+    Notes
+    -----
+    Where a law returns NaN or an infinite force, its last finite one counts, zero at first, and the log's
+    ``"not_finite"`` is one.
     """
     if np.shape(x0) != (6,):
         raise ValueError(f"x0 must be one state of shape (6,); got shape {np.shape(x0)}.")
@@ -80,7 +89,7 @@ def simulate(
 
 def simulate_many(
     rig: Rig,
-    controller: Controller,
+    controller: Controller | Law,
     x0: npt.ArrayLike,
     duration: float | None = None,
     *,
@@ -97,8 +106,8 @@ def simulate_many(
     ----------
     rig : Rig
         The true rig or rigs.
-    controller : Controller
-        The law.
+    controller : Controller or callable
+        The law; a plain function ``law(t, x)`` of one state ``(6,)`` will do.
     x0 : array_like (N, 6)
         The initial states.
     duration : float, optional
@@ -124,9 +133,16 @@ def simulate_many(
     ------
     TypeError, ValueError
         Before anything runs, if an argument is wrong.
+    LawError
+        If the law fails while it runs; the error keeps the runs so far.
+
+    Notes
+    -----
+    Where a law returns NaN or an infinite force, its last finite one counts, zero at first, and the log's
+    ``"not_finite"`` is one.
     """
     rig = as_rig(rig)
-    check_controller(controller)
+    controller = as_controller(controller)
     seed = checked_seed("seed", seed)
     first_row = checked_seed("first_row", first_row)
     states = as_states(x0)
@@ -146,9 +162,20 @@ def simulate_many(
     simulate_block = partial(_simulate_block, rig, controller, states, samples, the_task, push, seed, first_row, record)
     if workers > 1 and not is_batched(controller) and len(blocks) > 1:
         with pool(min(workers, len(blocks)), controller=controller, task=the_task, push=push) as executor:
-            parts = list(executor.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))))
-    else:
-        parts = [simulate_block(block) for block in blocks]
+            return _joined(executor.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))), rig)
+    return _joined(map(simulate_block, blocks), rig)
+
+
+def _joined(blocks: Iterable[Runs], rig: Rig) -> Runs:
+    """Return blocks side by side; where one fails, those that ended go with the error."""
+    parts: list[Runs] = []
+    try:
+        parts.extend(blocks)
+    except LawError as error:
+        parts.append(error.runs)
+        rows = sum(map(len, parts))
+        error.runs = parts[0] if len(parts) == 1 else Runs.join(parts, rig.rows(slice(0, rows)))
+        raise
     return parts[0] if len(parts) == 1 else Runs.join(parts, rig)
 
 
@@ -220,16 +247,32 @@ def _simulate_block(
         true[0], measured[0] = x0, y
     if not alive.all():
         y[~alive] = stepper.reset(np.zeros(6), ~alive)
+    u = np.zeros(n)
+    not_finite: list[tuple[int, npt.NDArray[np.bool_]]] = []
+    cause: Exception | None = None
+    whose, k = "", 0
 
     for k in range(samples):
         if not alive.any():
             break
-        began = perf_counter()
-        u = act(float(t[k]), y)
-        seconds[k] = perf_counter() - began
+        last = u
+        began, whose = perf_counter(), name_of(controller)
+        try:
+            u = _checked_forces(act(float(t[k]), y), n)
+            seconds[k] = perf_counter() - began
+            whose = "The push"
+            pushed = None if push is None else checked_push(push(float(t[k])), len(states))
+        except Exception as error:  # what a user's function raises is its own affair
+            cause = error
+            steps[alive], codes[alive], final[alive] = k, Status.CONTROLLER_FAILED.code, stepper.x[alive]
+            alive[:] = False
+            break
         if not alive.all():
-            u = np.where(alive, u, 0.0)
-        pushed = None if push is None else checked_push(push(float(t[k])), len(states))
+            u[~alive] = 0.0
+        if not np.isfinite(u).all():
+            bad = ~np.isfinite(u)
+            not_finite.append((k, bad))
+            u = np.where(bad, last, u)
         y = stepper.step(u, pushed if pushed is None or pushed.ndim == 1 else pushed[block])
         x = stepper.x
         forces[k] = stepper.force
@@ -252,7 +295,7 @@ def _simulate_block(
         measured[1:][after_end] = np.nan
     final[alive] = stepper.x[alive]
     success = upright.success(codes)
-    return Runs(
+    runs = Runs(
         t=t,
         u=forces.T,
         steps=steps,
@@ -262,26 +305,65 @@ def _simulate_block(
         travel=travel,
         time_up=np.where(success & upright.asked, (samples - upright.samples) * rig.sample_time, np.nan),
         step_time=np.broadcast_to(seconds / n, (n, samples)),
-        log=_log(act, n, samples, after_end),
+        log=_log(act, n, samples, after_end, not_finite),
         rig=rig,
-        controller=getattr(controller, "name", type(controller).__name__),
+        controller=name_of(controller),
         task=repr(task),
         seed=seed,
         first_row=first,
         x=None if true is None else true.transpose(1, 0, 2),
         y=None if measured is None else measured.transpose(1, 0, 2),
     )
+    if cause is None:
+        return runs
+    rows = f"row {first}" if n == 1 else f"rows {first} to {first + n - 1}"
+    reason = str(cause) if type(cause) is ValueError else f"{type(cause).__name__}: {cause}"
+    raise LawError(
+        f"{whose} failed at t = {t[k]:g} s in {rows}: {reason.rstrip('.')}. The runs up to there are kept in the "
+        "error's `runs`.",
+        runs,
+    ) from cause
 
 
-def _log(act: Act, n: int, samples: int, after_end: npt.NDArray[np.bool_]) -> dict[str, Array]:
-    """Return what the law tells of its steps as arrays ``(n, samples)``; NaN after a run's end."""
+def _checked_forces(forces: Any, n: int) -> Array:
+    """Return what a law returned as a new array ``(n,)``.
+
+    Raises
+    ------
+    ValueError
+        If it is no force for each row.
+    """
+    try:
+        array = np.array(forces, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"expected one force per row, shape ({n},); got {forces!r}.") from None
+    if array.shape != (n,):
+        column = " A law written as y @ K.T returns a column: take [:, 0]." if array.shape == (n, 1) else ""
+        raise ValueError(f"expected one force per row, shape ({n},); got shape {array.shape}.{column}")
+    return array
+
+
+def _log(
+    act: Act,
+    n: int,
+    samples: int,
+    after_end: npt.NDArray[np.bool_],
+    not_finite: list[tuple[int, npt.NDArray[np.bool_]]],
+) -> dict[str, Array]:
+    """Return what the law logs of its steps, and which forces were not finite, as arrays ``(n, samples)``."""
     log: dict[str, Array] = {}
     for name, entries in getattr(act, "log", {}).items():
-        told = np.full((samples, n), np.nan)
+        logged = np.full((samples, n), np.nan)
         if len(entries) > samples:
             raise ValueError(f"A law's log has one entry a call, at most {samples}; {name!r} has {len(entries)}.")
         for k, entry in enumerate(entries):
-            told[k] = entry
-        told[after_end] = np.nan
-        log[name] = told.T
+            logged[k] = entry
+        log[name] = logged.T
+    if not_finite:
+        counted = np.zeros((samples, n))
+        for k, bad in not_finite:
+            counted[k] = bad
+        log["not_finite"] = counted.T
+    for logged in log.values():
+        logged.T[after_end] = np.nan
     return log

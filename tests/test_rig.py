@@ -476,13 +476,13 @@ class Column:
         ),
         (
             TypeError,
-            "A controller has a method start(n, rng) that returns act(t, y); function has none.",
-            lambda: simulate(RIG, lambda t, y: y[:, 0], UPRIGHT, 1.0),  # pyright: ignore[reportArgumentType]
+            "A controller has a method start(n, rng) that returns act(t, y); int has none.",
+            lambda: simulate(RIG, 3, UPRIGHT, 1.0),  # pyright: ignore[reportArgumentType]
         ),
         (
             ValueError,
-            "Expected one force per row, shape (2,); got shape (2, 1). "
-            "A law written as y @ K.T gives a column: take [:, 0].",
+            "Column failed at t = 0 s in rows 0 to 1: expected one force per row, shape (2,); got shape (2, 1). A law "
+            "written as y @ K.T returns a column: take [:, 0]. The runs up to there are kept in the error's `runs`.",
             lambda: simulate_many(RIG, Column(), np.zeros((2, 6)), 1.0),
         ),
         (
