@@ -38,8 +38,8 @@ class Controller(Protocol):
         n : int
             Number of runs.
         rng : numpy.random.Generator
-            The source of whatever the law draws at random; one for the whole batch, so a batched law that draws gives a
-            row other numbers in another batch.
+            The source of whatever the law draws at random; one for the whole batch, so a batched law that draws uses
+            other numbers for a row in another batch.
 
         Returns
         -------

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from .rig import Rig, as_rig
 from .run import Run, Runs
 from .state import as_states
 from .status import Status
-from .stepper import CONTROLLER_STREAM, Stepper, checked_push, row_sequence
+from .stepper import CONTROLLER_STREAM, Stepper, checked_forces, checked_push, row_sequence
 from .tasks import Balance, NoTask, Task, checked_task
 from .workers import pool
 
@@ -28,7 +27,7 @@ Push = Callable[[float], npt.ArrayLike]
 _BALANCE = Balance()
 
 BLOCK = 4096
-"""Rows stepped together: enough to spread Python's share, few enough to stay in the cache."""
+"""Rows stepped together: enough to share out Python's time, few enough to stay in the cache."""
 
 
 def simulate(
@@ -189,7 +188,7 @@ def _samples(rig: Rig, task: Task, duration: float | None) -> int:
     """
     if duration is None:
         if task.steps is None:
-            raise ValueError("Without a task a run has no natural end: give a duration in s.")
+            raise ValueError("Without a task a run has no natural end: pass a duration in s.")
         return task.steps
     if not isinstance(duration, int | float | np.integer | np.floating):
         raise TypeError(f"duration must be a number of seconds; got {duration!r}.")
@@ -217,7 +216,7 @@ def _simulate_block(
 ) -> Runs:
     """Simulate some rows of a batch.
 
-    A row that has ended is parked upright at rest without force, where it disturbs nobody, until all have ended.
+    A row that has ended is parked upright at rest without force, where it disturbs no other, until all have ended.
     """
     rig = rig.rows(block)
     x0 = states[block]
@@ -258,7 +257,7 @@ def _simulate_block(
         last = u
         began, whose = perf_counter(), name_of(controller)
         try:
-            u = _checked_forces(act(float(t[k]), y), n)
+            u = checked_forces(act(float(t[k]), y), n)
             seconds[k] = perf_counter() - began
             whose = "The push"
             pushed = None if push is None else checked_push(push(float(t[k])), len(states))
@@ -323,24 +322,6 @@ def _simulate_block(
         "error's `runs`.",
         runs,
     ) from cause
-
-
-def _checked_forces(forces: Any, n: int) -> Array:
-    """Return what a law returned as a new array ``(n,)``.
-
-    Raises
-    ------
-    ValueError
-        If it is no force for each row.
-    """
-    try:
-        array = np.array(forces, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"expected one force per row, shape ({n},); got {forces!r}.") from None
-    if array.shape != (n,):
-        column = " A law written as y @ K.T returns a column: take [:, 0]." if array.shape == (n, 1) else ""
-        raise ValueError(f"expected one force per row, shape ({n},); got shape {array.shape}.{column}")
-    return array
 
 
 def _log(

@@ -113,14 +113,14 @@ def raising(k: int, n: int) -> Array:
     ("forces", "reason"),
     [
         (raising, "ZeroDivisionError: division by zero"),
-        (lambda k, n: raising(0, n) if k < 3 else "left", "expected one force per row, shape (3,); got 'left'"),
+        (lambda k, n: raising(0, n) if k < 3 else "left", "Expected one force per row, shape (3,); got 'left'"),
         (
             lambda k, n: raising(0, n) if k < 3 else [[1.0], [1.0, 2.0]],
-            "expected one force per row, shape (3,); got [[1.0], [1.0, 2.0]]",
+            "Expected one force per row, shape (3,); got [[1.0], [1.0, 2.0]]",
         ),
         (
             lambda k, n: np.ones((n, 1)) if k == 3 else np.ones(n),
-            "expected one force per row, shape (3,); got shape (3, 1). A law written as y @ K.T returns a column: take "
+            "Expected one force per row, shape (3,); got shape (3, 1). A law written as y @ K.T returns a column: take "
             "[:, 0]",
         ),
     ],

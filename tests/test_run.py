@@ -129,7 +129,7 @@ def with_header(parts: dict[str, Any], **changes: Any) -> bytes:
 
 def refusal(path: Path, kind: str) -> str:
     before = re.escape(f"{path} cannot be read as {kind!r}: ")
-    return f"^{before}[^.].+{re.escape('. Save it anew, or copy it again.')}$"
+    return f"^{before}[^.].+{re.escape('. Save it again, or copy it afresh.')}$"
 
 
 def trapped(sprung: Path) -> Any:
@@ -384,7 +384,7 @@ def test_saved_runs_come_back_exactly(tmp_path, record):
 def test_one_run_is_not_taken_for_many(tmp_path):
     rig = dpend.rig("gustafsson2016")
     file = dpend.simulate(rig, LQR(rig), np.zeros(6), 0.1).save(tmp_path / "one")
-    message = f"{file} cannot be read as 'dpend runs 1': it is 'dpend run 1'. Save it anew, or copy it again."
+    message = f"{file} cannot be read as 'dpend runs 1': it is 'dpend run 1'. Save it again, or copy it afresh."
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         dpend.Runs.load(file)
 
