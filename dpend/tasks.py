@@ -228,8 +228,8 @@ class SwingUp(ReportCost):
     ----------
     start : str
         "hanging", both links down; "side", both horizontal on the positive side, :math:`(\pi/2, \pi/2)`, as in the
-        report; the name of one of ``dpend.EQUILIBRIA``; or "anywhere": angles :math:`U[-\pi, \pi]`, the cart within half
-        the track (1 m where it is unlimited), rates :math:`\mathcal N(0, 1)` in m/s and rad/s.
+        report; the name of one of ``dpend.EQUILIBRIA``; or "anywhere": angles :math:`U[-\pi, \pi]`, the cart within
+        half the track (1 m where it is unlimited), rates :math:`\mathcal N(0, 1)` in m/s and rad/s.
     target : str
         The name of the equilibrium that is to be reached; wherever it says "upright" here, this is meant.
     angle_spread : float
