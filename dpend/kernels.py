@@ -32,7 +32,7 @@ def compiled(function: Callable[..., Any]) -> Any:
 
     Numba notices edits in the function's own file only, so the folder is named after a hash of all the sources it may
     use: what this file is made of, and the function's own package where that is another.  Where no folder can be
-    written, it is compiled anew each time.
+    written, it is compiled each time.
     """
     here = Path(__file__).parent
     package = Path(function.__code__.co_filename).parent

@@ -98,9 +98,9 @@ def test_other_options_are_other_work(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--lam", "0.1", "0.0"], "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; "
+        (["--lam", "0.1", "0.0"], "lambda is the greatest starting angle in rad: expected 0 < lambda <= pi/2; "
          "got 0.0."),
-        (["--lam", "-0.2"], "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; "
+        (["--lam", "-0.2"], "lambda is the greatest starting angle in rad: expected 0 < lambda <= pi/2; "
          "got -0.2."),
         (["--lam", "0.1", "0.1"], "--lam names a spread twice; got (0.1, 0.1)."),
         (["--trainings", "0"], "--trainings must be at least 1; got 0."),
