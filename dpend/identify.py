@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from .arguments import is_finite
 from .params import Array, Number, Params
 from .recording import fitted_rates
 from .rig import Rig
@@ -131,7 +132,7 @@ def identify(
     fit : sequence of str
         Names of the fields of :class:`dpend.Params` to find.
     segment : float
-        Length of a segment, s.  Shorter ones forgive disturbances that were not recorded, longer ones tell slow
+        Length of a segment, s.  Shorter ones forgive disturbances that were not recorded, longer ones show slow
         effects, such as friction, better.
     outputs : sequence of str
         What was measured with independent noise, of ``dpend.NAMES``; rates that were derived from positions do not
@@ -150,7 +151,7 @@ def identify(
         If ``runs`` or ``start`` is something else.
     ValueError
         If there is no such parameter or output, the runs hold no states, have different sample times, are shorter than
-        a segment or run away within one; or if the data cannot tell the parameters, which the message names, with the
+        a segment or run away within one; or if the data do not determine the parameters, which the message names, with the
         remedy.  Where the motion fits far better with another sign of the force or of a coordinate, it names that.
     RuntimeError
         If the search does not converge.
@@ -258,7 +259,7 @@ class _Segments:
         if len(sample_times) > 1:
             raise ValueError(f"All runs must have one sample time; got {', '.join(f'{h:g} s' for h in sample_times)}.")
         h = sample_times[0]
-        length = round(seconds / h) + 1 if math.isfinite(seconds) else 0
+        length = round(seconds / h) + 1 if is_finite(seconds) else 0
         if length * len(outputs) <= 6 + len(outputs):
             raise ValueError(
                 f"A segment must hold more than the six numbers of its initial state: expected segment to be several "
@@ -388,8 +389,8 @@ class _Problem:
         """Return outputs ``(copies, S, L m)`` from states ``(copies S, 6)``, one plant for all or one for each copy."""
         data = self.data
         if params.n is not None:
-            spread = {k: np.repeat(v, data.count) for k, v in params.to_dict().items() if isinstance(v, np.ndarray)}
-            params = replace(params, **spread)
+            copied = {k: np.repeat(v, data.count) for k, v in params.to_dict().items() if isinstance(v, np.ndarray)}
+            params = replace(params, **copied)
         stepper = Stepper(data.rig.replace(params=params), len(x0))
         stepper.reset(x0)
         samples = data.y.shape[1]
@@ -412,7 +413,7 @@ class _Problem:
     def _by_params(self, z: Array, x0: Array, weights: Array) -> Array:
         """Return the derivatives of the weighted residuals by the parameters ``(S, L m, p)``.
 
-        Central differences; ahead only, to the same order, for what must not fall below zero.
+        Central differences; forward ones, to the same order, for what must not fall below zero.
         """
         p = len(z)
         step = np.where(self.logarithm, _LOG_STEP, _STEP)
@@ -421,8 +422,8 @@ class _Problem:
         outputs = self._simulated(np.tile(x0, (2 * p + 1, 1)), self._plants(np.vstack([z, one, other])), 2 * p + 1)
         here, first, second = outputs[0], outputs[1 : p + 1], outputs[p + 1 :]
         central = (first - second) / (2 * step[:, None, None])
-        ahead = (4 * first - 3 * here - second) / (2 * step[:, None, None])
-        slopes = np.where(self.logarithm[:, None, None], central, ahead)
+        forward = (4 * first - 3 * here - second) / (2 * step[:, None, None])
+        slopes = np.where(self.logarithm[:, None, None], central, forward)
         return (np.tile(weights, self.data.y.shape[1]) * slopes).transpose(1, 2, 0)
 
 
@@ -443,7 +444,7 @@ def _search(problem: _Problem, z: Array, weights: Array, most: int) -> Any:
 
 
 def _fitted(problem: _Problem) -> tuple[Array, Array, Array]:
-    """Return the solution, the outputs' weights there, and the covariance; refuse what the data cannot tell."""
+    """Return the solution, the outputs' weights there, and the covariance; refuse what the data do not determine."""
     names, data, z = problem.names, problem.data, problem.start
     weights = np.ones(len(data.places))
     _require_rank(problem.reduced(z, weights)[1], names, data)
@@ -499,7 +500,7 @@ def _better_sign(problem: _Problem) -> str:
 
 
 def _require_rank(jacobian: Array, names: tuple[str, ...], data: _Segments) -> None:
-    """Refuse parameters that the data do not tell, or not apart: null directions of the scaled Jacobian."""
+    """Refuse parameters that the data do not determine, or not separately: null directions of the scaled Jacobian."""
     from scipy.linalg import qr  # kept out of `import dpend`
 
     sizes = np.linalg.norm(jacobian, axis=0)
@@ -528,7 +529,7 @@ def _require_sight(errors: Array, names: tuple[str, ...], data: _Segments) -> No
     vague = [name for name, e in zip(names, errors, strict=True) if name not in _MAY_VANISH and e > _UNKNOWN]
     if vague:
         raise ValueError(
-            f"The data say next to nothing of {_listed(vague)}: the standard error is as large as the value. Record "
+            f"The data hold next to no information on {_listed(vague)}: the standard error is as large as the value. Record "
             f"livelier or longer motion, or leave {_listed(vague)} out of fit{_excite(data)}."
         )
 
@@ -554,8 +555,15 @@ def _value(params: Params, name: str) -> Number:
     return value
 
 
+def _named(argument: str, names: Sequence[str]) -> tuple[str, ...]:
+    try:
+        return (names,) if isinstance(names, str) else tuple(names)
+    except TypeError:
+        raise TypeError(f"{argument} must be one name, or several; got {names!r}.") from None
+
+
 def _checked_names(fit: Sequence[str], params: Params) -> tuple[str, ...]:
-    names = (fit,) if isinstance(fit, str) else tuple(fit)
+    names = _named("fit", fit)
     if not names:
         raise ValueError(f"fit names no parameter; expected some of {', '.join(_FITTABLE)}.")
     for name in names:
@@ -572,7 +580,7 @@ def _checked_names(fit: Sequence[str], params: Params) -> tuple[str, ...]:
 
 
 def _checked_outputs(outputs: Sequence[str]) -> tuple[str, ...]:
-    seen = (outputs,) if isinstance(outputs, str) else tuple(outputs)
+    seen = _named("outputs", outputs)
     for name in seen:
         if name not in NAMES:
             raise ValueError(f"There is no output {name!r}.{suggestion(str(name), NAMES)}")

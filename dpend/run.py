@@ -368,7 +368,7 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Runs:
-    """``N`` runs side by side; what a run did not live to see is NaN.
+    """``N`` runs side by side; NaN after the end of each.
 
     Attributes
     ----------
@@ -586,7 +586,7 @@ class Runs:
 
     @classmethod
     def join(cls, parts: list[Runs], rig: Rig) -> Runs:
-        """Put parts of a batch together, in their order."""
+        """Return the parts of a batch joined, in their order."""
         stacked: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("u", "steps", "codes", "success", "final", "travel", "time_up", "step_time")

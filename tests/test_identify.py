@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 import warnings
 from dataclasses import replace
@@ -233,7 +234,7 @@ def test_what_the_motion_does_not_depend_on_is_refused() -> None:
 
 def test_what_is_drowned_in_noise_is_refused() -> None:
     still = dpend.simulate(TRUE, LQR(TRUE), np.zeros(6), 3.0)
-    with pytest.raises(ValueError, match=r"^The data say next to nothing of .* leave .* out of fit\.$"):
+    with pytest.raises(ValueError, match=r"^The data hold next to no information on .* leave .* out of fit\.$"):
         identify(still, TRUE.replace(cart_mass=1.05), ("cart_mass", "inertia1", "inertia2"))
 
 
@@ -248,6 +249,22 @@ def test_measurements_in_another_unit_are_refused() -> None:
     run = recorded(0)
     with pytest.raises(ValueError, match=r"^(From the states measured the plant runs away|Within a segment an error)"):
         identify(replace(run, y=np.rad2deg(run.y)), START, FIT)
+
+
+@pytest.mark.parametrize("odd", [None, 5, 1.5])
+def test_names_that_are_none_are_refused(odd: Any) -> None:
+    for argument, settings in (("fit", {"fit": odd}), ("outputs", {"fit": MASSES, "outputs": odd})):
+        with pytest.raises(TypeError, match=whole(f"{argument} must be one name, or several; got {odd!r}.")):
+            identify(recorded(0), START, **settings)
+
+
+@pytest.mark.parametrize("odd", ["long", None, math.nan, 0.02])
+def test_a_segment_must_last(odd: Any) -> None:
+    message = (
+        "A segment must hold more than the six numbers of its initial state: expected segment to be several samples of "
+        f"0.02 s; got {odd!r} s."
+    )
+    refused(message, recorded(0), START, MASSES, segment=odd)
 
 
 def test_wrong_use_is_refused() -> None:
@@ -303,7 +320,7 @@ def test_a_recording_with_a_wrong_sign_is_told_which(turned: str, argument: str)
         warnings.simplefilter("always")
         try:
             identify(wrong, START, FIT)
-        except ValueError as refusal:  # where the data seem to tell nothing at all
+        except ValueError as refusal:
             warnings.warn(str(refusal), stacklevel=1)
     assert any(hint in str(each.message) for each in said)
 

@@ -24,7 +24,7 @@ NAMES = ("pos", "th1", "th2", "vel", "om1", "om2")
 
 
 def table(run: Run = RUN, names: tuple[str, ...] = NAMES) -> dict[str, Array]:
-    """Return the columns of a run; nobody knows the force after its last sample."""
+    """Return the columns of a run; the force after its last sample is unknown."""
     states = {name: run.y[:, NAMES.index(name)] for name in names}
     return {"t": run.t} | states | {"u": np.append(run.u, 0.0)}
 

@@ -39,7 +39,7 @@ class Feedback:
 
 
 class BrokenAfter:
-    """A law that has no number to give after a while."""
+    """A law that returns NaN after a while."""
 
     def start(self, n: int, rng: np.random.Generator) -> dpend.Act:
         return lambda t, y: np.full(n, np.nan if t > 0.05 else 1.0)
