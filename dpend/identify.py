@@ -151,8 +151,8 @@ def identify(
         If ``runs`` or ``start`` is something else.
     ValueError
         If there is no such parameter or output, the runs hold no states, have different sample times, are shorter than
-        a segment or run away within one; or if the data do not determine the parameters, which the message names, with the
-        remedy.  Where the motion fits far better with another sign of the force or of a coordinate, it names that.
+        a segment or run away within one; or if the data do not determine the parameters, which the message names, with
+        the remedy.  Where the motion fits far better with another sign of force or coordinate, it names that.
     RuntimeError
         If the search does not converge.
 
@@ -529,8 +529,8 @@ def _require_sight(errors: Array, names: tuple[str, ...], data: _Segments) -> No
     vague = [name for name, e in zip(names, errors, strict=True) if name not in _MAY_VANISH and e > _UNKNOWN]
     if vague:
         raise ValueError(
-            f"The data hold next to no information on {_listed(vague)}: the standard error is as large as the value. Record "
-            f"livelier or longer motion, or leave {_listed(vague)} out of fit{_excite(data)}."
+            f"The data hold next to no information on {_listed(vague)}: the standard error is as large as the value. "
+            f"Record livelier or longer motion, or leave {_listed(vague)} out of fit{_excite(data)}."
         )
 
 
