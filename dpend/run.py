@@ -257,10 +257,10 @@ class Run:
     ) -> Run:
         r"""Return what a laboratory recorded: a table with a line of column names, then one line a sample.
 
-        A line holds the time, what was measured then, and the force from then on; commas, semicolons or tabs
-        separate its cells.  Decimal signs are points or commas, the text is Unicode or of a Windows code page.  What
-        is measured stands in ``y``, and in ``x`` too, for want of anything better.  ``success`` says whether neither
-        link ever leaned by more than a quarter turn.
+        A line holds the time, what was measured then, and the force from then on; commas, semicolons, tabs, bars or
+        blanks separate its cells.  Decimal signs are points or commas, the text is Unicode or of a Windows code page.
+        What is measured stands in ``y``, and in ``x`` too, for want of anything better.  ``success`` says whether
+        neither link ever leaned by more than a quarter turn.
 
         Parameters
         ----------
