@@ -464,9 +464,24 @@ def _fitted(problem: _Problem) -> tuple[Array, Array, Array]:
     return z, weights, covariance
 
 
-# what may have been read with the wrong sign; the mirror image of each choice is as good
-_SIGNS = ({"u"}, {"pos"}, {"th1"}, {"th2"}, {"u", "pos"}, {"u", "th1"}, {"u", "th2"})
-_SIGN_OF = {"u": "force_unit", "pos": "position_unit", "th1": "angle_unit", "th2": "angle_unit"}
+# What may have been read with the wrong sign, the argument of Run.from_csv to look at, what that does to the positions,
+# and to the force.  The mirror image of each is as good, so the three others of two kinds need no lines of their own.
+_SIGNS: tuple[tuple[str, str, Array, float], ...] = (
+    ("u", "force_unit", np.eye(3), -1.0),
+    ("pos", "position_unit", np.diag([-1.0, 1.0, 1.0]), 1.0),
+    ("th1", "angle_unit", np.diag([1.0, -1.0, 1.0]), 1.0),
+    ("th2", "angle_unit", np.diag([1.0, 1.0, -1.0]), 1.0),
+    ("th2 against th1", "angle_unit", np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 2.0, -1.0]]), 1.0),
+    (
+        "th1, from which th2 is counted,",
+        "angle_unit",
+        np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, -2.0, 1.0]]),
+        1.0,
+    ),
+    ("u and pos", "force_unit and position_unit", np.diag([-1.0, 1.0, 1.0]), -1.0),
+    ("u and th1", "force_unit and angle_unit", np.diag([1.0, -1.0, 1.0]), -1.0),
+    ("u and th2", "force_unit and angle_unit", np.diag([1.0, 1.0, -1.0]), -1.0),
+)
 
 
 def _better_sign(problem: _Problem) -> str:
@@ -474,25 +489,24 @@ def _better_sign(problem: _Problem) -> str:
     data = problem.data
     weights = 1 / np.maximum(data.y.std(axis=(0, 1)), 1e-9)
 
-    def left(turned: set[str]) -> float:
-        sign = np.array([-1.0 if name in turned else 1.0 for name in 2 * OUTPUTS])
-        force = -data.u if "u" in turned else data.u
-        other = replace(data, u=force, y=data.y * sign[data.places], x0=data.x0 * sign)
+    def left(turn: Array, force: float) -> float:
+        """Return the squares that a short search leaves of the data with their signs turned."""
+        state = np.kron(np.eye(2), turn)
+        y = data.y @ state[np.ix_(data.places, data.places)].T
+        turned = replace(data, u=force * data.u, y=y, x0=data.x0 @ state.T)
         try:
-            tried = _Problem(other, problem.params, problem.names)
+            tried = _Problem(turned, problem.params, problem.names)
             return float(_search(tried, tried.start, weights, 10).cost)
         except (ValueError, np.linalg.LinAlgError):
             return math.inf
 
-    costs = [left(turned) for turned in _SIGNS]
-    best = min(costs)
-    if not best < _FAR_BETTER * left(set()):
+    costs = [left(turn, force) for _, _, turn, force in _SIGNS]
+    if not min(costs) < _FAR_BETTER * left(np.eye(3), 1.0):
         return ""
-    turned = sorted(next(each for each, cost in zip(_SIGNS, costs, strict=True) if cost <= 1.05 * best))
-    arguments = sorted({_SIGN_OF[name] for name in turned})
+    what, argument, *_ = next(sign for sign, cost in zip(_SIGNS, costs, strict=True) if cost <= 1.05 * min(costs))
     return (
-        f"with the sign of {_listed(turned)} turned round the model fits far better; look at the sign of "
-        f"{_listed(arguments)} in Run.from_csv."
+        f"with the sign of {what} turned round the model fits far better; look at the sign of {argument} in "
+        "Run.from_csv."
     )
 
 

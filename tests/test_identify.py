@@ -305,17 +305,24 @@ def test_wrong_use_is_refused() -> None:
         identify(3, TRUE, MASSES)  # type: ignore[arg-type]
 
 
+ENCODER_2 = np.array([[1, 0, 0], [0, 1, 0], [0, 2, -1]])  # counts from link 1, the other way
+
+
 @pytest.mark.parametrize(
-    ("turned", "argument"),
-    [("u", "force_unit"), ("pos", "position_unit"), ("th1", "angle_unit"), ("th2", "angle_unit")],
+    ("what", "argument", "turn", "force"),
+    [
+        ("u", "force_unit", np.eye(3), -1),
+        ("th2", "angle_unit", np.diag([1, 1, -1]), 1),
+        ("th2 against th1", "angle_unit", ENCODER_2, 1),
+        pytest.param("pos", "position_unit", np.diag([-1, 1, 1]), 1, marks=pytest.mark.slow),
+        pytest.param("th1", "angle_unit", np.diag([1, -1, 1]), 1, marks=pytest.mark.slow),
+    ],
 )
-def test_a_recording_with_a_wrong_sign_is_told_which(turned: str, argument: str) -> None:
+def test_a_wrong_sign_of_a_recording_is_named(what: str, argument: str, turn: Any, force: int) -> None:
     run = recorded(0, 3.0)
-    sign = np.array([-1.0 if name == turned else 1.0 for name in 2 * ("pos", "th1", "th2")])
-    wrong = replace(run, y=run.y * sign, x=run.x * sign, u=-run.u if turned == "u" else run.u)
-    hint = (
-        f"the sign of {turned} turned round the model fits far better; look at the sign of {argument} in Run.from_csv."
-    )
+    state = np.kron(np.eye(2), turn)
+    wrong = replace(run, y=run.y @ state.T, x=run.x @ state.T, u=force * run.u)
+    hint = f"the sign of {what} turned round the model fits far better; look at the sign of {argument} in Run.from_csv."
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         try:
