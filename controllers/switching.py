@@ -220,7 +220,7 @@ class RolloutRegion:
             if not alive.all():
                 if not alive.any():
                     return rests
-                y[~alive] = stepper.reset(self.target, ~alive)  # parked, where it disturbs nobody
+                y[~alive] = stepper.reset(self.target, ~alive)  # parked, where it disturbs no row
         rests[rows] = alive
         return rests
 
