@@ -166,17 +166,15 @@ def test_damping_shortens_a_step_and_its_feedback_in_proportion() -> None:
 
 
 def test_damping_grows_while_plans_get_no_better_and_soon_vanishes_when_they_do() -> None:
-    damping = [0.0]
-    while damping[-1] <= 1e6:
-        damping.append(ilqr_kernels.next_damping(damping[-1], False))
-    assert (np.diff(damping) > 0).all()
-    assert len(damping) == 11  # none, then from 1e-2 tenfold to beyond 1e6
-    falling = [1.0]
-    while falling[-1]:
+    rising, falling = [0.0], [1.0]
+    for _ in range(10):
+        rising.append(ilqr_kernels.next_damping(rising[-1], False))
+    for _ in range(6):
         falling.append(ilqr_kernels.next_damping(falling[-1], True))
+    assert (np.diff(rising) > 0).all()
+    assert rising[-2] < 1e6 * (1 + 1e-9) < rising[-1]  # where improvement ends
     assert (np.diff(falling) < 0).all()
-    assert len(falling) == 7
-    assert ilqr_kernels.next_damping(0.0, True) == 0.0
+    assert falling[-1] == ilqr_kernels.next_damping(0.0, True) == 0.0
 
 
 def test_where_a_full_step_is_too_long_a_damped_one_is_taken_in_its_place() -> None:
