@@ -21,7 +21,7 @@ def reward(x):
     return -SHAPED.cost(x, np.zeros(len(x), dtype=np.uint8))
 
 
-def published_reward(x, failed, end_of_track, gravity, length1, length2):
+def published_reward(x, failed, end_of_track, gravity, length1, length2) -> float:
     """The reward as docs/deep-rl.md prints it, of one state, in Python's own numbers."""
     pos, th1, th2, _, om1, om2 = map(float, x)
     reach = length1 * math.cos(th1) + length2 * math.cos(th2)
@@ -41,7 +41,8 @@ def test_the_reward_is_the_published_equation(preset):
     x = np.concatenate([some_states(300, 1), rng.normal(scale=(1, 0.3, 0.3, 1, 2, 2), size=(300, 6))])
     failed = rng.random(600) < 0.2
     p = rig.params
-    expected = [published_reward(*each, 1.7, p.gravity, p.length1, p.length2) for each in zip(x, failed, strict=True)]
+    g, length1, length2 = float(p.gravity), float(p.length1), float(p.length2)
+    expected = [published_reward(state, fell, 1.7, g, length1, length2) for state, fell in zip(x, failed, strict=True)]
     np.testing.assert_allclose(-shaped.cost(x, failed.astype(np.uint8)), expected, rtol=1e-12, atol=1e-14)
     assert 0 < (np.abs(x[:, 0]) > 1.7).mean() < 1  # within the track and beyond its end
 
