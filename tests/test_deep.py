@@ -675,7 +675,8 @@ def test_a_deep_learner_takes_whole_rounds_within_its_time(monkeypatch):
     monkeypatch.setattr("rl.deep.learner_class", lambda recipe: Scripted)
     monkeypatch.setattr("rl.deep._versions", lambda recipe: {})
     monkeypatch.setattr("rl.deep.evaluate", lambda *_: (0.5, 0.5))
-    learner, shares = DeepLearner(RIG, **SMALL | {"steps": 4096}), []
+    settings: dict[str, Any] = SMALL | {"steps": 4096}
+    learner, shares = DeepLearner(RIG, **settings), []
     training = learner.train([3, 1], seconds=3500 * learner.period, progress=shares.append)
     assert list(training.curve["steps"]) == [1024, 2048, 3072]
     assert training.cost.steps * RIG.sample_time <= 3500 * learner.period
