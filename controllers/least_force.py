@@ -38,6 +38,7 @@ _NEAR = 0.2  # rad: starts within it are solved from a straight line, those beyo
 _EFFORT = 1e-5  # weight of the sum of v^2 beside F in units of the plant's weight: it moves 40 N by less than 0.01 N
 _MOST = 20.0  # greatest F, in that unit
 _TOLERANCE = 1e-7
+_PATIENCE = 120.0  # s, after which a guess is abandoned
 _QUIET = {"print_time": False, "show_eval_warnings": False}
 _IPOPT = _QUIET | {"ipopt": {"print_level": 0, "sb": "yes", "tol": _TOLERANCE, "max_iter": 200}}
 
@@ -114,15 +115,14 @@ class LeastForce:
             self.horizon,
         )
         fatrop = {"print_level": 0, "tol": _TOLERANCE, "max_iter": 200}
-        made = nlp_solver(
+        self._solver = nlp_solver(
             self._program.nlp,
             fatrop=_QUIET | {"structure_detection": "auto", "equality": self._program.equality, "fatrop": fatrop},
             ipopt=_IPOPT,
             compiled=compiled,
             derivatives=self._program.derivatives,
         )
-        self._solve = made.solve
-        self.backend = made.backend
+        self.backend = self._solver.backend
 
     def __call__(self, x0: npt.ArrayLike, *, guesses: int = 0, seed: int = 0) -> Trajectory:
         r"""Return the motion from a state that asks for the least force.
@@ -198,14 +198,15 @@ class LeastForce:
         low[0, :6] = high[0, :6] = away
         low[N, 1:6] = high[N, 1:6] = 0.0
         ones = np.ones((N, 1))
-        solved = self._solve(
+        solved = self._solver.fresh()(
+            patience=_PATIENCE,
             x0=pack(np.column_stack([x, np.full(N + 1, F)]), v[:, None]),
             lbx=pack(low, -ones),
             ubx=pack(high, ones),
             lbg=0,
             ubg=0,
         )
-        if not self._solve.stats()["success"]:
+        if not solved.success:
             return None
-        states, inputs = self._program.unpack(solved["x"])
+        states, inputs = self._program.unpack(solved.x)
         return states[:, :6], np.clip(inputs[:, 0], -1.0, 1.0), float(states[0, 6])

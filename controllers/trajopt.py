@@ -25,7 +25,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib import metadata
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import casadi
 import numpy as np
@@ -39,7 +39,7 @@ from dpend.state import as_equilibrium, as_states, deviation
 from dpend.symbolic import sample_function, substep_function
 from dpend.tasks import STARTS
 
-from .codegen import Plugin, find_compiler, nlp_solver
+from .codegen import NLPSolver, Plugin, find_compiler, nlp_solver
 from .shooting import Stage, multiple_shooting
 from .trajectory import Trajectory
 
@@ -50,6 +50,7 @@ TOLERANCE = 1e-6
 
 _JUMPS = 1e-3  # s, what a jump of the force by its unit costs in minimum time
 _ITERATIONS = 120
+_PATIENCE = 120.0  # s, after which a guess is abandoned
 _QUIET = {"print_time": False, "show_eval_warnings": False}
 _IPOPT = _QUIET | {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9, "max_iter": 300}}
 
@@ -65,8 +66,7 @@ class _Program(NamedTuple):
     the rows: so every constraint ties neighbours only.
     """
 
-    solve: Any
-    backend: str
+    solve: NLPSolver
     width: int
 
 
@@ -109,7 +109,7 @@ def _program(rig: Rig, N: int, objective: Objective, smoothing: float, unit: flo
         compiled=solver != "ipopt",
         derivatives=program.derivatives,
     )
-    return _Program(made.solve, made.backend, states + 1)
+    return _Program(made, states + 1)
 
 
 class _Guess(NamedTuple):
@@ -232,7 +232,7 @@ def optimize(
         "converged": tried - failures.total(),
         "tried": tried,
         "seed": seed,
-        "solver": made.backend,
+        "solver": made.solve.backend,
         "versions": versions() | {"casadi": metadata.version("casadi")},
     }
     return replace(best.trajectory, about=about)
@@ -350,24 +350,19 @@ def _solve(
     first[1:, 6] = guess.u / unit
     if objective == "time":
         low[:, 7], high[:, 7], first[:, 7] = 0.1, 1.5, 0.8
-    try:
-        answer = made.solve(x0=first.ravel()[:-1], lbx=low.ravel()[:-1], ubx=high.ravel()[:-1], lbg=0.0, ubg=0.0)
-    except RuntimeError:
-        return "an error in the solver"
-    stats = made.solve.stats()
-    if not stats["success"]:
-        said = stats.get("return_status")
-        if not isinstance(said, str):  # fatrop gives a number
-            said = str(stats.get("unified_return_status", "failure")).removeprefix("SOLVER_RET_")
-        return said.lower().replace("_", " ")
-    rows = np.append(np.asarray(answer["x"]).ravel(), 0.0).reshape(N + 1, made.width)
+    answer = made.solve(
+        patience=_PATIENCE, x0=first.ravel()[:-1], lbx=low.ravel()[:-1], ubx=high.ravel()[:-1], lbg=0.0, ubg=0.0
+    )
+    if not answer.success:
+        return answer.status
+    rows = np.append(answer.x, 0.0).reshape(N + 1, made.width)
     step = h * float(rows[0, 7]) if objective == "time" else h
     forces = np.clip(unit * rows[:-1, -1], -force, force)
     x = rows[:, :6].copy()
     x[0], x[-1] = begin, end
     about = {
-        "cost": float(answer["f"]),
-        "iterations": int(stats["iter_count"]),
+        "cost": answer.cost,
+        "iterations": answer.iterations,
         "first guess": guess.words,
         "samples": N,
     }
@@ -380,7 +375,7 @@ def _solve(
     )
     trajectory = Trajectory(rig=own, x=x, u=forces, target=end, about=about)
     wrong = violations(trajectory, track_margin=track_margin)
-    return _Found(trajectory, float(answer["f"])) if not wrong else f"not holding in the simulator ({wrong})"
+    return _Found(trajectory, answer.cost) if not wrong else f"not holding in the simulator ({wrong})"
 
 
 def violations(trajectory: Trajectory, *, track_margin: float = 0.0) -> str:
