@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from dpend.arguments import checked_whole, is_finite
 from dpend.controller import Act
+from dpend.deprecation import warn_renamed
 from dpend.linear import discretize, linearize
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
@@ -81,7 +82,7 @@ class NMPC:
     ----------
     rig : Rig or str
         What the planner believes: plant, sample time and limits.  Actuator and sensors do not enter; where they matter,
-        put an estimator before it that tells the state at which the next force acts.
+        an estimator must come before it that returns the state at which the next force acts.
     target : str or array_like (6,)
         The equilibrium to reach, by name or as a state.
     cost : {"quadratic", "energy"}
@@ -113,8 +114,8 @@ class NMPC:
     ----------
     lqr : LQR
         The regulator of the same weights, whose Riccati solution ends the plan.
-    samples : int
-        :math:`N`.
+    horizon_steps : int
+        :math:`N`, the horizon in samples.
 
     Raises
     ------
@@ -180,12 +181,18 @@ class NMPC:
         self.position(0.0)
         if horizon is None:
             horizon = _pace(rig) * (1.5 if cost == "quadratic" else 0.8)
-        self.samples = round(_checked("horizon", horizon, 2 * rig.sample_time, 1e3) / rig.sample_time)
+        self.horizon_steps = round(_checked("horizon", horizon, 2 * rig.sample_time, 1e3) / rig.sample_time)
 
     @property
     def name(self) -> str:
         """What tables and figures call it."""
         return "NMPC" if self.cost == "quadratic" else "energy NMPC"
+
+    @property
+    def samples(self) -> int:
+        """Return ``horizon_steps``, by the name that it had."""
+        warn_renamed("NMPC.samples", "NMPC.horizon_steps")
+        return self.horizon_steps
 
     @property
     def backend(self) -> str:
@@ -194,7 +201,7 @@ class NMPC:
 
     def __repr__(self) -> str:
         way = "a C compiler is found" if find_compiler() else "no C compiler is found"
-        return f"<{self.name}, {self.samples} samples of {self.rig.sample_time:g} s, solver {self.solver}, {way}>"
+        return f"<{self.name}, {self.horizon_steps} samples of {self.rig.sample_time:g} s, solver {self.solver}, {way}>"
 
     def position(self, t: float) -> float:
         """Return where the cart is to be at a time in s: the target's position and the set-point, m.
@@ -236,7 +243,7 @@ class NMPC:
             "R": self.lqr.R,
             "S": self.rate_weight,
             "energy_weight": self.energy_weight if self.cost == "energy" else None,
-            "samples": self.samples,
+            "samples": self.horizon_steps,
             "max_iterations": self.max_iterations,
             "solver": self.solver,
             "compiler": find_compiler(),
@@ -539,7 +546,7 @@ class _Planner:
             yield np.linspace(x, goal, N + 1), np.zeros((N, 1))
 
     def _swinging(self, t: float, x: Array) -> Iterator[Plan]:
-        """Guess motions under forces to and fro, because the cost is level where the links hang at rest."""
+        """Guess motions under forces to and fro, because the cost is flat where the links hang at rest."""
         N = self._program.horizon
         for amplitude, periods in ((0.5, 1.0), (-0.5, 1.0), (0.5, 2.0), (-0.5, 2.0)):
             swing = amplitude * self._guess_force * np.sin(_TURN * periods * np.arange(N) / N)

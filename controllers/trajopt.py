@@ -12,7 +12,7 @@ with one of two objectives, both of order one (fatrop does not scale costs), for
    J_\text{time} = N h + \epsilon \sum_k \Bigl(\frac{u_k - u_{k-1}}{f}\Bigr)^2,\quad h \text{ free}.
 
 A solution replays in the simulator as it is, to the solver's tolerance in each sample, because the constraint is the
-simulator's own step; that, the limits and the end are checked before a solution is given away.
+simulator's own step; that, the limits and the end are checked before a solution is returned.
 
 Source: H. Bock and K. Plitt, *A multiple shooting algorithm for direct solution of optimal control problems*, 1984.
 """
@@ -46,7 +46,7 @@ from .trajectory import Trajectory
 Objective = Literal["effort", "time"]
 
 TOLERANCE = 1e-6
-"""Greatest defect of a sample, and greatest excess over a limit, of a trajectory that is given away."""
+"""Greatest defect of a sample, and greatest excess over a limit, of a trajectory that is returned."""
 
 _JUMPS = 1e-3  # s, what a jump of the force by its unit costs in minimum time
 _ITERATIONS = 120
@@ -145,7 +145,7 @@ def optimize(
     rig : Rig or str
         Plant, clock and limits; actuator and sensors do not enter.
     start : str or array_like (6,)
-        "hanging", "side" (both links level, :math:`(\pi/2, \pi/2)`), the name of an equilibrium, or any state.
+        "hanging", "side" (both links horizontal, :math:`(\pi/2, \pi/2)`), the name of an equilibrium, or any state.
     target : str or array_like (6,)
         The name of an equilibrium: then each link may turn to it either way, all ways are tried, and the cheapest is
         kept; or a state with each link straight up or down, whose angles are meant as they are, turns and all.
@@ -334,7 +334,7 @@ def _solve(
     track_margin: float,
     force_margin: float,
 ) -> _Found | str:
-    """Solve from one guess; give what was found, or what went wrong."""
+    """Return what one guess leads to, or what went wrong."""
     N, h = len(guess.u), rig.sample_time
     force = float(rig.force_limit) - force_margin
     track = float(rig.track_limit) - track_margin

@@ -132,7 +132,7 @@ def inside(name: str) -> set[str]:
 @pytest.mark.parametrize(
     ("name", "allowed"),
     [
-        ("kernels", {"equations", "params", "provenance", "state", "status"}),
+        ("kernels", {"cache", "equations", "params", "provenance", "state", "status"}),
         ("symbolic", {"equations", "params", "rig"}),
         ("plant", {"equations", "params"}),
         ("linear", {"params", "plant"}),

@@ -208,11 +208,11 @@ def test_close_to_the_target_it_is_the_regulator(rate_weight: float) -> None:
 
 def test_a_cost_on_changes_of_force_lowers_their_variation_under_sensor_noise() -> None:
     rig, start = RIG.replace(sensor_noise=0.002), [0.0, 0.02, 0.01, 0.0, 0.0, 0.0]
-    free, dear = (
+    free, costly = (
         dpend.simulate(rig, NMPC(RIG, rate_weight=weight, **SHORT), start, 1.0).metrics() for weight in (0.0, 1.0)
     )
-    assert dear["success"] == 1.0
-    assert dear["variation"] < 0.5 * free["variation"]
+    assert costly["success"] == 1.0
+    assert costly["variation"] < 0.5 * free["variation"]
 
 
 def test_at_the_target_and_at_each_turn_of_it_there_is_nothing_to_do() -> None:
@@ -231,7 +231,7 @@ def test_limits_hold_in_closed_loop() -> None:
     assert (run.log["status"] != PlanStatus.SHIFTED).all()
 
 
-def test_the_cart_follows_its_set_point_and_looks_ahead() -> None:
+def test_the_cart_follows_its_set_point_and_previews_it() -> None:
     x0 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     with_steps = NMPC(RIG, setpoint=lambda t: 0.5 if t >= 1.0 else 0.0, horizon=1.0)
     run = dpend.simulate(RIG, with_steps, x0, 3.0, task=None)
@@ -332,14 +332,14 @@ def test_upright_beyond_the_margin_it_does_not_sit_still() -> None:
     assert act.log["status"] == [PlanStatus.SOLVED]
 
 
-def test_one_iteration_a_step_never_gives_more_than_a_number_and_is_told_apart() -> None:
+def test_one_iteration_a_step_gives_a_finite_force_and_its_status_says_so() -> None:
     u, act = forces(NMPC(RIG, max_iterations=1, **SHORT), np.array([0.0, 0.4, -0.3, 0.0, 0.0, 0.0]), 6)
     assert np.isfinite(u).all()
     assert max(act.log["iterations"][1:]) <= 2
     assert set(act.log["status"][1:]) & {PlanStatus.ACCEPTED, PlanStatus.SHIFTED}
 
 
-def test_runs_keep_what_the_law_tells_of_its_steps() -> None:
+def test_runs_keep_what_the_law_logs_of_its_steps() -> None:
     run = dpend.simulate(RIG, NMPC(RIG, **SHORT), [0.0, 0.05, 0.0, 0.0, 0.0, 0.0], 0.1)
     assert set(run.log) == {"status", "iterations", "solve_time"}
     assert all(values.shape == (5,) for values in run.log.values())
@@ -432,12 +432,12 @@ def test_a_solver_that_fails_again_and_again_begins_elsewhere_before_the_plan_is
     for status in run.log["status"]:
         in_a_row = in_a_row + 1 if status == PlanStatus.SHIFTED else 0
         longest = max(longest, in_a_row)
-    assert 5 <= longest < controller.samples
+    assert 5 <= longest < controller.horizon_steps
     assert run.success
     assert np.abs(run.x[:, 0]).max() < 2.4 - 0.02 + 1e-3
 
 
-def test_what_is_no_number_is_taken_as_planned_and_the_force_stays_one() -> None:
+def test_a_measurement_of_nan_is_taken_as_planned_and_the_force_stays_finite() -> None:
     x = np.array([0.0, 0.1, -0.1, 0.0, 0.0, 0.0])
     broken = np.array([0.0, np.nan, 0.1, 0.0, 0.0, 0.0])
     act = NMPC(RIG, **SHORT).start(1, np.random.default_rng(0))
