@@ -64,3 +64,11 @@ def test_the_published_learner_is_built_by_the_old_name_with_a_warning():
 def test_a_name_that_never_was_is_no_attribute():
     with pytest.raises(AttributeError, match="module 'controllers' has no attribute 'Chatch'"):
         controllers.Chatch  # noqa: B018
+
+
+def test_a_predictive_controller_still_says_its_horizon_in_samples():
+    controller = controllers.NMPC(RIG, horizon=0.5)
+    message = r"^NMPC\.samples is now called NMPC\.horizon_steps; the old name goes with version 0\.3\.$"
+    with pytest.warns(DeprecationWarning, match=message) as caught:
+        assert controller.samples == controller.horizon_steps == 25
+    assert caught[0].filename == __file__
