@@ -58,8 +58,11 @@ def one_rig_a_row(n: int) -> dpend.Rig:
 
 
 def assert_same(one: Run, other: Run, *, apart_from: tuple[str, ...] = ()) -> None:
-    for name in {field.name for field in fields(Run)} - set(apart_from):
-        mine, theirs = getattr(one, name), getattr(other, name)
+    assert one.log.keys() == other.log.keys()
+    pairs = {field.name: (getattr(one, field.name), getattr(other, field.name)) for field in fields(Run)}
+    pairs |= {f"log {name}": (one.log[name], other.log[name]) for name in one.log}
+    for name in set(pairs) - {"log", *apart_from}:
+        mine, theirs = pairs[name]
         if isinstance(mine, np.ndarray):
             assert mine.dtype == theirs.dtype, name
             assert np.array_equal(mine, theirs, equal_nan=True), name
