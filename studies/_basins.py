@@ -18,6 +18,7 @@ import dpend
 from dpend.params import Array
 
 from . import recoverable
+from ._figures import facets
 
 EXTENT = 0.8
 """Greatest angle on a map, rad; as on that of ``recoverable``."""
@@ -50,7 +51,7 @@ def part_saved(saved: npt.NDArray[Any]) -> float:
 
 
 def plot_basins(basins: Mapping[str, Array], columns: int = 4) -> Figure:
-    """Draw basins side by side, each over what can be saved at all.
+    """Return maps of basins side by side, each over what can be saved at all.
 
     Parameters
     ----------
@@ -64,23 +65,22 @@ def plot_basins(basins: Mapping[str, Array], columns: int = 4) -> Figure:
     Figure
     """
     rows = -(-len(basins) // columns)
-    figure = Figure(figsize=(6.8, 1.65 * rows + 0.75), layout="constrained")
-    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    figure, axes = facets(rows, columns, height=1.65 * rows + 0.75, sharex=True, sharey=True)
     for axis, (name, saved) in zip(axes.flat, basins.items(), strict=False):
         _plot_basin(axis, saved)
-        axis.set_title(f"{name}: {100 * part_saved(saved):.0f} %", fontsize=7.5, pad=3)
+        axis.set_title(f"{name}: {100 * part_saved(saved):.0f} %", fontsize=7.5, loc="center")
     for place, axis in enumerate(axes.flat):
         axis.tick_params(labelbottom=place + columns >= len(basins))  # nothing below it
         axis.set_visible(place < len(basins))
-    figure.supxlabel("θ1 (rad)", fontsize=9)
-    figure.supylabel("θ2 (rad)", fontsize=9)
+    figure.supxlabel("θ1 (rad)", fontsize=8.5)
+    figure.supylabel("θ2 (rad)", fontsize=8.5)
     handles = [
         Patch(facecolor=_SHADES(_shade(1.0)), label="saved"),
         Patch(facecolor=_SHADES(_shade(0.5)), label="by half of the trainings"),
         Patch(facecolor=_RIM, label="could be saved"),
         Line2D([], [], color="k", lw=1.2, label=f"least force {recoverable.FORCE:g} N"),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    figure.legend(handles=handles, loc="outside upper center", ncols=4)
     return figure
 
 
@@ -101,5 +101,3 @@ def _plot_basin(axis: Axes, saved: Array) -> None:
     axis.contour(angles, angles, force, [recoverable.FORCE], colors="k", linewidths=1.0, zorder=3)
     limits = -EXTENT - 0.03, EXTENT + 0.03
     axis.set(xlim=limits, ylim=limits, xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5), aspect="equal")
-    axis.tick_params(labelsize=7)
-    axis.grid(alpha=0.3)

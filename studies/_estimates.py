@@ -96,33 +96,34 @@ def number(value: float, form: str = "", tried: Tried | None = None) -> str:
 # -------------------------------------------------------------------------------------------------- shares and averages
 
 
-def share(successes: float, n: float) -> Estimate:
+def share(successes: npt.ArrayLike, n: npt.ArrayLike) -> Estimate:
     r"""Return :math:`s/n` with Wilson's score interval; NaN of no trials.
 
     Parameters
     ----------
-    successes, n : int
-        Successes, and trials.
+    successes, n : array_like
+        Successes, and trials: whole numbers, or several, which are summed.
 
     Returns
     -------
     Estimate
     """
-    if n == 0:
+    done, tried = int(np.sum(successes)), int(np.sum(n))
+    if tried == 0:
         return Estimate()
-    interval = stats.binomtest(int(successes), int(n)).proportion_ci(method="wilson")
-    return Estimate(float(successes / n), float(interval.low), float(interval.high))
+    interval = stats.binomtest(done, tried).proportion_ci(method="wilson")
+    return Estimate(done / tried, float(interval.low), float(interval.high))
 
 
-def mean_share(shares: npt.ArrayLike, runs: float) -> Estimate:
+def mean_share(shares: npt.ArrayLike, runs: npt.ArrayLike) -> Estimate:
     r"""Return the mean of shares of success, each that of a unit of replication: a training, a start or a plant.
 
     Parameters
     ----------
     shares : array_like (k,)
         A share for each unit, within 0 and 1.
-    runs : int
-        Runs of all units together.
+    runs : array_like
+        Runs of all units together, or of each, which are summed.
 
     Returns
     -------
@@ -131,9 +132,9 @@ def mean_share(shares: npt.ArrayLike, runs: float) -> Estimate:
         or Wilson's of all runs taken together where that is wider, as when all units have the same share.  The
         bootstrap is too narrow for ten trainings.
     """
-    each = np.asarray(shares, dtype=np.float64)
+    each, total = np.asarray(shares, dtype=np.float64), int(np.sum(runs))
     mean = float(each.mean())
-    _, low, high = share(round(mean * runs), runs)
+    _, low, high = share(round(mean * total), total)
     half = float(stats.t.ppf(0.975, len(each) - 1) * each.std(ddof=1) / np.sqrt(len(each))) if len(each) > 1 else 0.0
     return Estimate(mean, min(low, mean, max(0.0, mean - half)), max(high, mean, min(1.0, mean + half)))
 

@@ -74,6 +74,12 @@ def facets(
     return figure, figure.subplots(rows, columns, squeeze=False, **how)
 
 
+def mosaic(layout: Any, *, height: float, width: float = WIDTH, **how: Any) -> tuple[Figure, dict[str, Axes]]:
+    """Return a figure and its axes by name, laid out as ``Figure.subplot_mosaic`` has it."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplot_mosaic(layout, **how)
+
+
 # ------------------------------------------------------------------------------------------------------- axes, legends
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from numbers import Integral
@@ -20,7 +20,7 @@ from rich.text import Text
 from ._estimates import Estimate, Tried
 
 _FEW = 6  # columns in a terminal, at most
-_NAME = 24  # letters of a column of words there, before they wrap
+_NAME = 20  # letters of a column of words there, before they wrap
 _AIR = 2  # letters between columns there
 
 
@@ -142,6 +142,7 @@ def sheet(
     *,
     note: str = "",
     tried: Tried | None = None,
+    brief: Collection[str] | None = None,
 ) -> Sheet:
     """Return the table of lines that are mappings from headings to values, or of a frame.
 
@@ -159,6 +160,8 @@ def sheet(
         What stands below it.
     tried : (float, float), optional
         The least and the greatest level tried, of crossings.
+    brief : collection of str, optional
+        Headings of the columns that a terminal shows where there is no room for all; left out, the first of them.
 
     Returns
     -------
@@ -178,7 +181,7 @@ def sheet(
         values = [record[heading] for record in records if record.get(heading) is not None]
         return all(isinstance(value, str) or (isinstance(value, Cell) and value.key is None) for value in values)
 
-    columns = [Column(heading, words=words(heading)) for heading in headings]
+    columns = [Column(heading, words=words(heading), brief=brief is None or heading in brief) for heading in headings]
     return Sheet(title, columns, [[written(each, record.get(each)) for each in headings] for record in records], note)
 
 
@@ -262,12 +265,14 @@ def terminal(table: Sheet, width: int = 80) -> Group:
     rich.console.Group
         What is left out is said below it.
     """
-    wanted = [i for i, column in enumerate(table.columns) if column.brief]
+    every = range(len(table.columns))
+    if len(every) > _FEW or sum(_letters(table, i) + _AIR for i in every) > width + _AIR:
+        every = [i for i in every if table.columns[i].brief]
     chosen: list[int] = []
-    room = width
-    for i in wanted[:_FEW]:
+    room = width + _AIR
+    for i in every[:_FEW]:
         room -= _letters(table, i) + _AIR
-        if chosen and room < -_AIR:
+        if chosen and room < 0:
             break
         chosen.append(i)
     left_out = len(table.columns) - len(chosen)

@@ -78,11 +78,14 @@ def test_a_terminal_shows_whole_numbers_in_six_columns_at_most_and_says_what_it_
     assert f"{8 - len(shown)} more columns in tables.md" in " ".join(text.split())
 
 
-def test_columns_that_are_not_brief_are_left_to_the_file_and_a_narrow_table_leaves_out_nothing():
-    table = Sheet("t", (*COLUMNS, Column("z", brief=False)), [[Cell("a"), Cell("1"), Cell("7.5")]])
-    assert "7.5" not in printed(table)
-    assert "1 more column in tables.md" in printed(table)
-    assert "tables.md" not in printed(Sheet("t", COLUMNS, [[Cell("a"), Cell("1")]]))
+def test_where_there_is_no_room_for_all_a_terminal_shows_the_brief_columns():
+    headings = [f"λ={lam:g}" for lam in range(1, 9)]
+    table = sheet("t", [{"who": "LQR"} | dict.fromkeys(headings, Estimate(0.5, 0.4, 0.6))], brief=["who", headings[6]])
+    assert re.findall("λ=.", printed(table)) == ["λ=7"]
+    assert "7 more columns in tables.md" in printed(table)
+    assert "tables.md" not in printed(
+        Sheet("t", (*COLUMNS, Column("z", brief=False)), [[Cell("a"), Cell("1"), Cell()]])
+    )
 
 
 def test_a_terminal_shows_brackets_and_markup_as_they_are():
