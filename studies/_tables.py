@@ -113,7 +113,7 @@ def cell(value: Value, form: str = "", *, tried: Tried | None = None, bar: bool 
     value : Cell, Estimate, number, str or None
         The value.
     form : str
-        As of :func:`studies._estimates.number`.
+        As of :func:`studies._estimates.number`; whole numbers are counts, which are written whole.
     tried : (float, float), optional
         As of :func:`studies._estimates.number`.
     bar : bool
@@ -127,7 +127,7 @@ def cell(value: Value, form: str = "", *, tried: Tried | None = None, bar: bool 
         return value
     if value is None or isinstance(value, str):
         return Cell(value or "–")
-    if isinstance(value, Integral) and not form:
+    if isinstance(value, Integral):  # a count
         return Cell(f"{value:,}", key=float(value))
     estimate = value if isinstance(value, Estimate) else Estimate(float(value))
     text, under = estimate.written(form, tried)

@@ -30,7 +30,7 @@ def printed(table: Sheet, width: int = 80) -> str:
 
 def test_values_are_written_by_their_kind_and_sorted_by_what_they_are():
     assert cell(Estimate(0.845, 0.821, 0.866), ".1%", bar=True) == Cell("84.5", "[82.1, 86.6]", 0.845, 0.845)
-    assert cell(12345) == Cell("12,345", key=12345.0)
+    assert cell(12345, ".1%") == Cell("12,345", key=12345.0)
     assert cell(0.5) == Cell("0.5", key=0.5)
     assert cell("words") == Cell("words")
     assert cell(Estimate(math.inf, 0.3, math.inf), tried=(0.1, 0.6)) == Cell("> 0.6", "[0.3, > 0.6]", math.inf)
