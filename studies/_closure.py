@@ -26,8 +26,10 @@ _DATA = {"controllers.data": "controllers/data/*.npz", "rl.policies": "rl/traine
 """What is shipped beside a module and read by it."""
 _SHOWN_ONLY = frozenset({"style", "prior_knowledge"})
 """Keywords that only figures and tables read."""
-_DRAWING = frozenset({"dpend.draw"})
-"""Modules that change no result; what the studies draw is told apart by definition."""
+_SHOWN_ONLY = frozenset({"style", "prior_knowledge"})
+"""Keywords that only figures and tables read."""
+_ASIDE = frozenset({"dpend.draw", "studies._closure", "studies._own", "studies._runner"})
+"""Modules that change no result: they draw, and find out what results depend on and keep them."""
 _MODULE_NAME = re.compile(r"(\w+(?:\.\w+)+)(?::\w+)?")
 
 _Statements = list[ast.stmt]
@@ -150,7 +152,7 @@ class _Walk:
     def reach(self, module: str, name: str | None) -> None:
         """Add what a name in a module stands for; without a name, all of the module."""
         file = self.path(module)
-        if file is None:
+        if file is None or module in _ASIDE:
             return
         is_package = file.name == "__init__.py"
         if is_package and name is not None and self.path(f"{module}.{name}"):
@@ -159,7 +161,7 @@ class _Walk:
             self.reach(*found)  # what a package only passes on, at once or when it is asked for
         elif module.partition(".")[0] in self.packages - {"dpend", "controllers", "rl"}:
             self._definitions(module, file, None if name is None else {name})
-        elif module not in _DRAWING:
+        else:
             self.whole(module, file)
 
     def whole(self, module: str, file: Path) -> None:
@@ -225,8 +227,8 @@ class _Walk:
 
     def _kept_table(self, call: ast.Call) -> None:
         """Add the shipped table that a call reads."""
-        if ast.unparse(call.func).rpartition(".")[2] == "kept_table" and call.args:
-            (name,) = (argument.value for argument in call.args if isinstance(argument, ast.Constant))
+        called = ast.unparse(call.func).rpartition(".")[2]
+        for name in (each.value for each in call.args if isinstance(each, ast.Constant) and called == "kept_table"):
             file = kept_table(str(name), self.root)
             self.found[f"table {name}"] = file_hash(file) if file.exists() else ""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
+from functools import cache
 from itertools import cycle
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -345,8 +346,9 @@ def find(name: str, own_controller: Own | None = None, known: Iterable[Contender
     return by_name[name]
 
 
+@cache
 def own(spec: str) -> Contender:
-    """Return a user's own controller as a contender that balances and swings up, see :func:`studies._own.load_own`.
+    """Return a user's own controller, loaded once, as a contender; see :func:`studies._own.load_own`.
 
     Parameters
     ----------

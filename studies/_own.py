@@ -20,7 +20,6 @@ from types import FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
 
 import dpend
 from dpend import Controller, Rig
@@ -57,7 +56,6 @@ class Loaded(NamedTuple):
         return _made(self.factory, rig)
 
 
-@cache
 def load_own(spec: str, rig: Rig) -> Loaded:
     """Return a user's own controller.
 
@@ -96,7 +94,8 @@ def load_own(spec: str, rig: Rig) -> Loaded:
     except Exception as error:
         raise ValueError(f"--controller {spec}: {type(error).__name__}: {error}") from error
     parts, outside = closure_of_file(Path(str(module.__file__)))
-    brought = {key: loaded for key in {*outside, *(set(sys.modules) - before)} if (loaded := _outside(key))}
+    names = {*outside, *(set(sys.modules) - before)} - {module.__name__}
+    brought = {key: loaded for key in names if (loaded := _outside(key))}
     modules = {**brought, module.__name__: module}
     parts |= {f"module {key}": file_hash(Path(str(each.__file__))) for key, each in brought.items() if key not in parts}
     parts |= {f"file {file}": file_hash(file) for file in read}
@@ -180,9 +179,8 @@ def _numbers_hash(spec: str, made: Controller, modules: dict[str, ModuleType]) -
     try:
         digest.add(made)
     except _Unknown as error:
-        Console(stderr=True).print(
-            f"--controller {spec}: what {error} holds cannot be read, so its runs are not kept.", soft_wrap=True
-        )
+        said = f"--controller {spec}: what {error} holds cannot be read, so its runs are not kept."
+        print(said, file=sys.stderr)
         return os.urandom(8).hex()
     for name in sorted(modules):
         for key, value in sorted(vars(modules[name]).items()):

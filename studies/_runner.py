@@ -35,6 +35,7 @@ import pandas as pd
 import tyro
 from matplotlib.figure import Figure
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from dpend.provenance import versions
@@ -151,7 +152,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> Table:
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.default_int_handler)  # shells let background jobs inherit "ignore"
     study = cast(Study, importlib.import_module(name))
-    console = Console(stderr=True, highlight=False)
+    console = Console(stderr=True, highlight=False, emoji=False)
     try:
         options = tyro.cli(study.Options, args=arguments, description=inspect.getdoc(study), prog=f"python -m {name}")
         if arguments is not None and options.workers == 1:
@@ -159,7 +160,7 @@ def main(name: str, arguments: Sequence[str] | None = None) -> Table:
         with _processes(options.workers) as executor:
             return run_study(name, options, executor)
     except UnwritableError as error:
-        console.print(f"[bold red]Error:[/] {error} Finished jobs are kept.", soft_wrap=True)
+        console.print(f"[bold red]Error:[/] {escape(str(error))} Finished jobs are kept.", soft_wrap=True)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         console.print("\nStopped. Finished jobs are kept: the same command goes on from here.")
@@ -244,12 +245,12 @@ def _publish(study: Study, table: Table, options: Options, out: Path, short: str
     if getattr(options, "films", False):
         for film, write in cast(Any, study).films(table).items():
             _write(out / film, write)
-    console = Console(highlight=False)
+    console = Console(highlight=False, emoji=False)
     for each in report.tables:
         console.print(terminal(each, console.width), "")
     if table.quick:
         console.print(f"[bold]{QUICK.capitalize()}.[/]")
-    console.print(f"Figures, table and settings are in {out}/.", soft_wrap=True)
+    console.print(f"Figures, table and settings are in {escape(str(out))}/.", soft_wrap=True)
 
 
 def _mark(figure: Figure) -> None:

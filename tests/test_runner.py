@@ -358,7 +358,7 @@ def test_a_table_that_a_job_reads_counts_by_its_content(copied, edit):
          "got 0.0."),
         (["--lam", "-0.2"], "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; "
          "got -0.2."),
-        (["--lam", "0.1", "0.1"], "--lam names a spread twice; got (0.1, 0.1)."),
+        (["--lam", "0.1", "0.1"], "--lam names an angle twice; got (0.1, 0.1)."),
         (["--trainings", "0"], "--trainings must be at least 1; got 0."),
         (["--episodes", "1"], "--episodes must be at least 2; got 1."),
         (["--part-of", "1"], "--part-of must be at least 2; got 1."),
