@@ -14,7 +14,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from rl.deep import INSTALL, NEEDED, DeepRecipe, learner_class
+from rl.deep import learner_class
+from rl.recipes import INSTALL, NEEDED, DeepRecipe, OffPolicySettings
 
 REPETITIONS = 5
 ROUNDS = 100
@@ -29,7 +30,8 @@ def main() -> None:
     for algo in ("ddpg", "td3", "sac"):
         learners = []
         for library in ("torch", "jax"):
-            recipe = DeepRecipe(algo=algo, library=library, steps=10_000, copies=COPIES)
+            own = OffPolicySettings(library=library)
+            recipe = DeepRecipe(algo=algo, off_policy=own, steps=10_000, copies=COPIES)
             learner = learner_class(recipe)(recipe, 0)
             learner.learn(recipe.steps // 5)  # a tenth at random, then updates, which compile
             learners.append(learner)

@@ -26,7 +26,9 @@ def main() -> None:
     rig = dpend.rig("gustafsson2016")
     controller = ILQRMPC(rig)
     dpend.simulate(rig, controller, dpend.EQUILIBRIA["down-down"], 1.0, task=None)  # compiles
-    table = Table("", "median ms", "p99 ms", "max ms", title=f"N = {controller.horizon}, {RUNS} runs of 6 s a start")
+    table = Table(
+        "", "median ms", "p99 ms", "max ms", title=f"N = {controller.horizon_steps}, {RUNS} runs of 6 s a start"
+    )
     for start in ("hanging", "side"):
         task = dpend.SwingUp(start=start, angle_spread=0.1, steps=300)
         runs = dpend.simulate_many(rig, controller, task.starts(np.random.default_rng(0), RUNS, rig), task=task)

@@ -23,13 +23,13 @@ REPETITIONS = 5
 
 
 def learn() -> int:
-    """Train without acceptance tests until the budget ends; give the steps learned from."""
+    """Train without acceptance tests until the budget ends; return the steps learned from."""
     learner = replace(LinearQLearning.tuned(dpend.rig("gustafsson2016"), select=False), max_episodes=2000, streak=2001)
-    return learner.train(0).steps
+    return learner.train(0).cost.steps
 
 
 def step_in_python() -> int:
-    """Step one rig from Python; give the steps."""
+    """Step one rig from Python; return the steps."""
     stepper = dpend.Stepper(dpend.rig("gustafsson2016"), 1)
     stepper.reset(np.zeros(6))
     force = np.zeros(1)

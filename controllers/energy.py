@@ -14,11 +14,15 @@ import numpy.typing as npt
 
 from dpend.arguments import is_finite
 from dpend.controller import Act
+from dpend.deprecation import renamed_arguments
 from dpend.params import Array
 from dpend.plant import energies, rates
 from dpend.rig import Rig, single_rig
 
+from .wrapping import holding
 
+
+@renamed_arguments(kick="perturbation")
 class EnergySwingUp:
     r"""Law :math:`F = -(k_v\alpha + k_x p + k_d\dot p)/(k_E(E - E_r) + k_v\beta)`, shaping energy by passivity.
 
@@ -28,8 +32,8 @@ class EnergySwingUp:
     .. math::
         V = \tfrac{k_E}{2}(E - E_r)^2 + \tfrac{k_v}{2}\dot p^2 + \tfrac{k_x}{2}p^2, \qquad \dot V = -k_d\,\dot p^2 .
 
-    The energy is never below :math:`-E_r`, and :math:`\beta = (D^{-1})_{11}` is least with both links level, where it
-    is one over the mass of everything.  So the denominator keeps its sign, and the law is regular, if
+    The energy is never below :math:`-E_r`, and :math:`\beta = (D^{-1})_{11}` is least with both links horizontal, where
+    it is one over the mass of everything.  So the denominator keeps its sign, and the law is regular, if
     :math:`k_v\min\beta > 2 k_E E_r`.  A force that is held or limited, and friction, each break :math:`\dot V \le 0`.
 
     Parameters
@@ -42,10 +46,10 @@ class EnergySwingUp:
         :math:`k_v`, s^2/m^2; left out, 1.25 times the least that is regular.
     k_x : float
         :math:`k_x`, 1/m^2, greater than zero; left out, 20 over the square of the track's limit, or of the length of
-        both links where the track has no end.
+        both links where the track is unlimited.
     k_d : float
         :math:`k_d`, s/m^2, greater than zero; left out, :math:`0.06\sqrt{k_x k_v}`.
-    kick : float
+    perturbation : float
         Force of the first sample, N, for a run that starts hanging at rest, where the law answers zero for ever; left
         out, a tenth of the weight of everything.
 
@@ -75,7 +79,7 @@ class EnergySwingUp:
         k_velocity: float | None = None,
         k_x: float | None = None,
         k_d: float | None = None,
-        kick: float | None = None,
+        perturbation: float | None = None,
     ) -> None:
         self.rig, self.energy = _checked_rig(rig, "EnergySwingUp")
         c = self.rig.params.coefficients()
@@ -91,7 +95,7 @@ class EnergySwingUp:
             )
         self.k_x = _positive("k_x", 20 / _reach(self.rig) ** 2 if k_x is None else k_x)
         self.k_d = _positive("k_d", 0.06 * math.sqrt(self.k_x * self.k_velocity) if k_d is None else k_d)
-        self.kick = _checked_kick(self.rig, kick)
+        self.perturbation = _checked_perturbation(self.rig, perturbation)
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{name} = {getattr(self, name):.4g}" for name in ("k_energy", "k_velocity", "k_x", "k_d"))
@@ -113,9 +117,10 @@ class EnergySwingUp:
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
-        return _with_kick(self.force, self.kick, self.rig, self.energy)
+        return holding(n, _perturbed(self.force, self.perturbation, self.rig, self.energy))
 
 
+@renamed_arguments(kick="perturbation")
 class EnergyPump:
     r"""Cart acceleration :math:`a = a_\max\,\mathrm{sat}\big(\kappa\,\mu\,(E_l - E_r)/E_r\big) - k_x p - k_d\dot p`.
 
@@ -134,10 +139,10 @@ class EnergyPump:
         :math:`\kappa`, s/(kg m), greater than zero; left out, :math:`5\sqrt{(L_1 + L_2)/g}/(d_2 + d_3)`.
     k_x : float
         :math:`k_x`, 1/s^2, greater than zero; left out, gravity over the track's limit, or over the length of both
-        links where the track has no end.
+        links where the track is unlimited.
     k_d : float
         :math:`k_d`, 1/s, greater than zero; left out, :math:`\sqrt{k_x}`.
-    kick : float
+    perturbation : float
         Force of the first sample, N, for a run that starts hanging at rest, where the law answers zero for ever; left
         out, a tenth of the weight of everything.
 
@@ -167,7 +172,7 @@ class EnergyPump:
         gain: float | None = None,
         k_x: float | None = None,
         k_d: float | None = None,
-        kick: float | None = None,
+        perturbation: float | None = None,
     ) -> None:
         self.rig, self.energy = _checked_rig(rig, "EnergyPump")
         c = self.rig.params.coefficients()
@@ -177,7 +182,7 @@ class EnergyPump:
         self.gain = _positive("gain", 5 * fall / float(c.d2 + c.d3) if gain is None else gain)
         self.k_x = _positive("k_x", gravity / _reach(self.rig) if k_x is None else k_x)
         self.k_d = _positive("k_d", math.sqrt(self.k_x) if k_d is None else k_d)
-        self.kick = _checked_kick(self.rig, kick)
+        self.perturbation = _checked_perturbation(self.rig, perturbation)
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{name} = {getattr(self, name):.4g}" for name in ("acceleration", "gain", "k_x", "k_d"))
@@ -202,7 +207,7 @@ class EnergyPump:
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
-        return _with_kick(self.force, self.kick, self.rig, self.energy)
+        return holding(n, _perturbed(self.force, self.perturbation, self.rig, self.energy))
 
 
 def _cart_response(x: Array, rig: Rig) -> tuple[Array, Array]:
@@ -218,8 +223,8 @@ def _moving_at(x: npt.ArrayLike, speed: float) -> Array:
     return moving
 
 
-def _with_kick(force: Callable[[Array], Array], kick: float, rig: Rig, energy: float) -> Act:
-    """Return a memoryless law that wakes in its first sample what hangs at rest."""
+def _perturbed(force: Callable[[Array], Array], perturbation: float, rig: Rig, energy: float) -> Act:
+    """Return a memoryless law that perturbs in its first sample what hangs at rest."""
     began = False
 
     def act(_: float, y: Array) -> Array:
@@ -227,7 +232,7 @@ def _with_kick(force: Callable[[Array], Array], kick: float, rig: Rig, energy: f
         u = force(y)
         if not began:
             began = True
-            u = np.where(energies(y, rig.params).total < -(1 - 1e-4) * energy, kick, u)
+            u = np.where(energies(y, rig.params).total < -(1 - 1e-4) * energy, perturbation, u)
         return u
 
     return act
@@ -255,9 +260,9 @@ def _positive(name: str, value: float) -> float:
     return float(value)
 
 
-def _checked_kick(rig: Rig, kick: float | None) -> float:
-    if kick is None:
+def _checked_perturbation(rig: Rig, perturbation: float | None) -> float:
+    if perturbation is None:
         return 0.1 * float(rig.params.coefficients().d1) * float(rig.params.gravity)
-    if not is_finite(kick):
-        raise ValueError(f"kick must be a finite force in N; got {kick!r}.")
-    return float(kick)
+    if not is_finite(perturbation):
+        raise ValueError(f"perturbation must be a finite force in N; got {perturbation!r}.")
+    return float(perturbation)

@@ -1,4 +1,4 @@
-r"""State estimation from encoder positions, delays made up for, in front of any controller.
+r"""State estimation from encoder positions, delays compensated, in front of any controller.
 
 A rig measures at sample :math:`k` the state of sample :math:`k - d_s`, and the command it is given then takes effect at
 sample :math:`k + d_a`.  The estimators here estimate the state at the measured moment and predict it, with the commands
@@ -16,10 +16,13 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dpend.controller import Act, Controller, check_controller, is_batched
+from dpend.controller import Act, Controller
 from dpend.params import Array
 from dpend.rig import Rig, ideal_rig, single_rig
+from dpend.state import wrap
 from dpend.stepper import Stepper
+
+from .wrapping import Wrapper, finite_rows, log_of, watch, with_logs
 
 Follow = Callable[[Array, Array], Array]
 r"""An estimator at work, :math:`\hat x = \mathrm{follow}(y, u)`: measurements ``(n, 6)`` and the commands ``(n,)`` that
@@ -34,7 +37,7 @@ class Estimator(Protocol):
         ...
 
 
-class WithEstimator:
+class WithEstimator(Wrapper):
     """A controller that sees estimates instead of measurements.
 
     It takes the controller's commands for those that reach the rig, so it belongs outermost: around
@@ -58,37 +61,33 @@ class WithEstimator:
             raise TypeError(
                 f"estimator must be an estimator such as EKF(rig), with a method follow(n); got {estimator!r}."
             )
-        check_controller(controller)
         self.estimator = estimator
-        self.controller = controller
-        self.batched = is_batched(controller)
-        self.name = f"{getattr(controller, 'name', type(controller).__name__)} behind {type(estimator).__name__}"
-
-    def __repr__(self) -> str:
-        return f"<{self.name}>"
+        super().__init__(controller, f"{{}} behind {type(estimator).__name__}")
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
         follow = self.estimator.follow(n)
         inner = self.controller.start(n, rng)
         given = np.zeros(n)
+        log, missing_in = watch(n)
 
         def act(t: float, y: Array) -> Array:
             nonlocal given
+            missing_in(y)
             u = inner(t, follow(y, given))
-            given = np.array(u, dtype=np.float64)  # the caller may change what it was answered
+            given = np.where(np.isfinite(u), u, given)
             return u
 
-        if hasattr(inner, "log"):
-            act.log = inner.log  # type: ignore[attr-defined]
-        return act
+        return with_logs(act, log, log_of(inner))
 
 
 class Differences:
-    r"""First differences, :math:`\hat v_k = (y_k - y_{k-1})/T`: what encoders give where nobody estimates.
+    r"""First differences, :math:`\hat v_k = (y_k - y_{k-1})/T`: the rates of an encoder where nothing is estimated.
 
-    The three positions are believed as they are measured, and each rate is the mean over the sample that ended.  The
-    first rates are zero.  Measured rates are not looked at, noise is multiplied by :math:`\sqrt 2/T`, and delays stay.
+    The three positions are believed as they are measured, and each rate is the mean over the sample that ended, angles
+    by the shorter way round.  The first rates are zero.  Measured rates are not used, noise is multiplied by
+    :math:`\sqrt 2/T`, and delays stay.  A row of which a position is missing keeps its last estimate, and the next
+    rate is the mean since then.
 
     Parameters
     ----------
@@ -101,14 +100,20 @@ class Differences:
 
     def follow(self, n: int) -> Follow:
         """Return the estimator for ``n`` runs."""
-        before: Array | None = None
+        estimate, seen, samples = np.zeros((n, 6)), np.zeros(n, dtype=np.bool_), np.zeros((n, 1))
 
         def follow(y: Array, _: Array) -> Array:
-            nonlocal before
-            positions = np.array(y[:, :3], dtype=np.float64)
-            rates = np.zeros((n, 3)) if before is None else (positions - before) / self.rig.sample_time
-            before = positions
-            return np.concatenate([positions, rates], axis=1)
+            nonlocal samples
+            samples = samples + 1
+            fresh = finite_rows(y[:, :3])
+            positions = np.where(fresh[:, None], y[:, :3], estimate[:, :3])
+            moved = positions - estimate[:, :3]
+            moved[:, 1:] = wrap(moved[:, 1:])
+            rates = np.where(seen[:, None], moved / (samples * self.rig.sample_time), 0.0)
+            estimate[fresh] = np.concatenate([positions, rates], axis=1)[fresh]
+            samples[fresh] = 0
+            seen[fresh] = True
+            return estimate.copy()
 
         return follow
 
@@ -117,7 +122,8 @@ class Predictor:
     r"""Prediction alone: :math:`\hat x_{k + d_a} = \Phi(\dots\Phi(y_k, F_{k - d_s})\dots, F_{k + d_a - 1})`.
 
     The measurement is believed in all six numbers, and carried over sensor and actuator delay by the plant's own step
-    under the commands that are under way.  On a rig that has no other imperfection, and is known, that is exact.
+    under the commands that are under way.  On a rig that has no other imperfection, and is known, that is exact.  A row
+    of which a number is missing is taken to be where the plant's own step leads from the last measurement.
 
     Parameters
     ----------
@@ -136,12 +142,18 @@ class Predictor:
     def follow(self, n: int) -> Follow:
         """Return the estimator for ``n`` runs."""
         under_way = _UnderWay(self.rig, n)
-        ahead = Stepper(ideal_rig(self.rig), n)
+        model = Stepper(ideal_rig(self.rig), n)
+        last = np.zeros((n, 6))
 
         def follow(y: Array, u: Array) -> Array:
-            under_way.listen(u)
+            nonlocal last
+            under_way.add(u)
+            finite = finite_rows(y)[:, None]
             with np.errstate(all="ignore"):
-                return _predict(ahead, np.array(y, dtype=np.float64), under_way.since_measured())
+                if not finite.all():
+                    y = np.where(finite, y, _predict(model, last, [under_way.last_before_measured()]))
+                last = np.array(y, dtype=np.float64)
+                return _predict(model, last, under_way.since_measured())
 
         return follow
 
@@ -193,41 +205,47 @@ class _Filter:
         return follow
 
     def follow_closely(self, n: int) -> tuple[Follow, Callable[[], tuple[Array, Array]]]:
-        """Return the estimator for ``n`` runs, and a function that tells what it holds of the moment last measured.
+        """Return the estimator for ``n`` runs, and a function that returns its belief of the moment last measured.
 
         Returns
         -------
         follow : callable
             The estimator.
         belief : callable
-            ``belief()`` gives the means ``(n, 6)`` and covariances ``(n, 6, 6)``.
+            ``belief()`` returns the means ``(n, 6)`` and covariances ``(n, 6, 6)``.
         """
         rig = self.rig
         under_way = _UnderWay(rig, n)
         move = self._move(n)
-        ahead = Stepper(ideal_rig(rig), n)
+        model = Stepper(ideal_rig(rig), n)
         first_guess = np.diag(np.concatenate([self.measurement_noise, self.rates_noise]) ** 2)
         mean, covariance = np.zeros((n, 6)), np.tile(first_guess, (n, 1, 1))
         samples = -1
+        seen = np.zeros(n, dtype=np.bool_)
 
-        def begin_again_where_lost(measured: Array) -> None:
-            lost = ~(np.abs(mean).max(axis=1) < 1e6) | ~(np.abs(covariance).max(axis=(1, 2)) < 1e12)
-            mean[lost], covariance[lost] = np.pad(measured[lost], ((0, 0), (0, 3))), first_guess
+        def begin_again(rows: npt.NDArray[np.bool_], measured: Array) -> None:
+            mean[rows], covariance[rows] = np.pad(measured[rows], ((0, 0), (0, 3))), first_guess
+
+        def lost() -> npt.NDArray[np.bool_]:
+            return ~(np.abs(mean).max(axis=1) < 1e6) | ~(np.abs(covariance).max(axis=(1, 2)) < 1e12)
 
         def follow(y: Array, u: Array) -> Array:
             nonlocal mean, covariance, samples
-            under_way.listen(u)
+            under_way.add(u)
             samples += 1
-            measured = np.array(y[:, :3], dtype=np.float64)
+            there = finite_rows(y[:, :3])
+            measured = np.where(there[:, None], y[:, :3], mean[:, :3])
             with np.errstate(all="ignore"):  # what diverges is begun again
-                if samples == 0:
-                    mean[:, :3] = measured
-                elif samples > rig.sensor_delay:  # until then the sensors repeat the first reading
+                if samples > rig.sensor_delay:  # until then the sensors repeat the first reading
                     mean, covariance = move(mean, covariance, under_way.last_before_measured())
-                    begin_again_where_lost(measured)  # before numbers without bound are divided by each other
+                    begin_again(lost(), measured)  # before numbers without bound are divided by each other
+                    predicted = mean, covariance
                     mean, covariance = self._update(mean, covariance, measured)
-                    begin_again_where_lost(measured)
-                return _predict(ahead, mean, under_way.since_measured())
+                    mean[~there], covariance[~there] = predicted[0][~there], predicted[1][~there]
+                    begin_again(lost(), measured)
+                begin_again(there & ~seen, measured)
+                seen[there] = True
+                return _predict(model, mean, under_way.since_measured())
 
         return follow, lambda: (mean.copy(), covariance.copy())
 
@@ -236,15 +254,17 @@ class _Filter:
         raise NotImplementedError
 
     def _update(self, mean: Array, covariance: Array, measured: Array) -> tuple[Array, Array]:
-        """Take the three positions in, by Joseph's form, which keeps the covariance positive."""
+        """Return the belief with the three positions in it, by Joseph's form, which keeps the covariance positive."""
         noise = np.diag(self.measurement_noise**2)
         crossed = covariance[:, :, :3]
         gain = np.linalg.solve(crossed[:, :3] + noise, crossed.transpose(0, 2, 1)).transpose(0, 2, 1)
-        rest = np.tile(np.eye(6), (len(mean), 1, 1))
-        rest[:, :, :3] -= gain
-        mean = mean + np.einsum("nij,nj->ni", gain, measured - mean[:, :3])
-        kept = rest @ covariance @ rest.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
-        return mean, 0.5 * (kept + kept.transpose(0, 2, 1))
+        innovation = measured - mean[:, :3]
+        innovation[:, 1:] = wrap(innovation[:, 1:])  # encoders may count turns or not
+        remainder = np.tile(np.eye(6), (len(mean), 1, 1))
+        remainder[:, :, :3] -= gain
+        mean = mean + np.einsum("nij,nj->ni", gain, innovation)
+        updated = remainder @ covariance @ remainder.transpose(0, 2, 1) + gain @ noise @ gain.transpose(0, 2, 1)
+        return mean, 0.5 * (updated + updated.transpose(0, 2, 1))
 
 
 class EKF(_Filter):
@@ -252,8 +272,9 @@ class EKF(_Filter):
 
     The mean moves by the plant's own step :math:`\Phi(x, f)`; :math:`A = \partial\Phi/\partial x` and
     :math:`G = \partial\Phi/\partial f` are its derivatives at the mean, by central differences of fourth order.
-    Measured rates are not looked at.  The first measurement is the first guess, with rates zero within ``rates_noise``.
-    A row whose estimate is lost, 1e6 of any state away or uncertain by as much, begins again in this way.
+    Measured rates are not used.  The first measurement is the first guess, with rates zero within ``rates_noise``.
+    A row whose estimate is lost, 1e6 of any state away or uncertain by as much, begins again in this way.  Angles are
+    measured up to whole turns, and the nearest counts; a row of which a position is missing is predicted only.
 
     Parameters
     ----------
@@ -289,7 +310,7 @@ class EKF(_Filter):
         moved = np.zeros((points, 9))
         moved[1:] = (places[:, None, None] * np.eye(9)).reshape(-1, 9)
         model = Stepper(ideal_rig(self.rig), n * points)
-        deviation = self.process_noise**2
+        variance = self.process_noise**2
 
         def move(mean: Array, covariance: Array, force: Array) -> tuple[Array, Array]:
             model.x[:] = (mean[:, None] + moved[:, :6]).reshape(-1, 6)
@@ -297,8 +318,7 @@ class EKF(_Filter):
             after = model.x.reshape(n, points, 6)
             slopes = np.einsum("p,npij->nji", weights, after[:, 1:].reshape(n, 4, 9, 6))
             A, G = slopes[:, :, :6], slopes[:, :, 6:]
-            spread = A @ covariance @ A.transpose(0, 2, 1) + (G * deviation) @ G.transpose(0, 2, 1)
-            return after[:, 0].copy(), spread
+            return after[:, 0].copy(), A @ covariance @ A.transpose(0, 2, 1) + (G * variance) @ G.transpose(0, 2, 1)
 
         return move
 
@@ -308,8 +328,8 @@ class UKF(_Filter):
 
     State and unknown force together have nine dimensions; mean and covariance after a sample are those of 18 points,
     one at :math:`\pm\sqrt{9}` standard deviations along each axis, carried over by the plant's own step.  All weights
-    are equal and positive, so the covariance stays positive.  The measurement is linear and taken in as usual.
-    The rest is as in :class:`EKF`.
+    are equal and positive, so the covariance stays positive.  The measurement is linear and enters as usual.
+    All else is as in :class:`EKF`.
 
     Parameters
     ----------
@@ -359,7 +379,7 @@ class _UnderWay:
     def __init__(self, rig: Rig, n: int) -> None:
         self._limit = float(rig.force_limit)
         lag = float(rig.actuator_lag)
-        self._rest = math.exp(-rig.sample_time / lag) if lag else 0.0
+        self._decay = math.exp(-rig.sample_time / lag) if lag else 0.0
         self._drive = np.zeros(n)
         self._sensor_delay = int(rig.sensor_delay)
         # Forces of the samples from the one before the measured on, up to the last that a command has reached.
@@ -367,13 +387,13 @@ class _UnderWay:
         self._sample = -1
         self._before = np.zeros(n)
 
-    def listen(self, command: Array) -> None:
-        """Take in the commands given last, and go on to the next sample."""
+    def add(self, command: Array) -> None:
+        """Add the commands given last, and go on to the next sample."""
         self._sample += 1
         if self._sample == 0:
             return
         limited = np.clip(np.asarray(command, dtype=np.float64), -self._limit, self._limit)
-        self._drive = limited + self._rest * (self._drive - limited)
+        self._drive = limited + self._decay * (self._drive - limited)
         self._forces.append(self._drive)
         if self._sample > self._sensor_delay:  # the measured moment moves on
             self._before = self._forces.popleft()

@@ -7,7 +7,7 @@ A plan :math:`(x_0 \dots x_N, u_0 \dots u_{N-1})` is to cost little,
     \qquad x_{k+1} = f(x_k, u_k), \quad |u_k| \le F,
 
 with the residuals :math:`e` of ``controllers/residuals.py``, :math:`P` of the LQR at the target, and walls :math:`w`
-that rise quadratically within a margin of the track's end.  An iteration linearises the sample :math:`f` along the
+that rise quadratically within a margin of the track's end.  An iteration linearizes the sample :math:`f` along the
 plan, gaps :math:`f(x_k, u_k) - x_{k+1}` included, runs the Riccati recursion back to front with the steps of the force
 clamped to the box (a clamped force has no feedback), and follows the result through the plant; it is taken only if it
 costs less.
@@ -20,9 +20,10 @@ Mastalli et al., *Crocoddyl*, ICRA 2020 (how gaps close).
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Sequence
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,14 +37,15 @@ from dpend.state import as_equilibrium, as_states
 from .ilqr_kernels import NO_GAPS, Problem, improve, nearest_target, rollout
 from .lqr import LQR
 from .trajectory import Trajectory
+from .wrapping import watch
 
-_TURN = 2 * math.pi
-_COLD = 60  # iterations for each start of a first plan
+_FIRST = 60  # iterations for each start of a first plan
 _COARSE = 1e-4  # relative gain below which one of several plans counts as converged
 _TRIALS = 8  # lengths of step tried in an iteration
 _CHEAPER = 0.95  # share of the cost of the plan in use below which another takes over
 _PATIENCE = 15  # samples for which a challenger is worked on
 _HORIZON, _HORIZON_UPRIGHT = 6.26, 2.5  # in units of sqrt(L / g)
+_MOST_STEPS = 1000  # samples in a horizon; more is a mistake of units
 
 
 class Step(IntEnum):
@@ -54,11 +56,11 @@ class Step(IntEnum):
     CONVERGED = 1
     """There was nothing left to gain."""
     FELL_BACK = 2
-    """No iteration lowered the cost: the plan of before goes on, by its own feedback gains."""
+    """No iteration lowered the cost: the previous plan goes on, by its own feedback gains."""
     PLANNED = 3
     """There was no plan yet, so one was made from several starts."""
     SWITCHED = 4
-    """Another plan, made beside the one in use, turned out cheaper and took its place."""
+    """Another plan, kept beside the one in use, turned out to cost less and took its place."""
 
 
 def ilqr(
@@ -66,7 +68,7 @@ def ilqr(
     x0: npt.ArrayLike,
     target: str | npt.ArrayLike = "up-up",
     *,
-    horizon: int | None = None,
+    horizon: float | None = None,
     u_guess: npt.ArrayLike | None = None,
     x_guess: npt.ArrayLike | None = None,
     Q: Sequence[float] | None = None,
@@ -91,9 +93,10 @@ def ilqr(
     target : str or array_like (6,)
         The name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere on the track; any whole turn of
         it will do.
-    horizon : int, optional
-        :math:`N`, samples, at least 2; left out, :math:`6.26\sqrt{L/g}`, and :math:`2.5\sqrt{L/g}` with
-        ``upright_only``, where :math:`L` is the mean length of the links: 2 s and 0.8 s for links of 1 m.
+    horizon : float, optional
+        Length of the plan, s, rounded to :math:`N` samples, from 2 to 1000; left out, :math:`6.26\sqrt{L/g}`, and
+        :math:`2.5\sqrt{L/g}` with ``upright_only``, where :math:`L` is the mean length of the links: 2 s and 0.8 s for
+        links of 1 m.
     u_guess : array_like (N,), optional
         Forces to start from, clipped to the limit; alone, they are followed through the plant.
     x_guess : array_like (N + 1, 6), optional
@@ -111,12 +114,12 @@ def ilqr(
     tolerance : float
         Stop when an iteration promises to lower the cost by less than this share.
     seed : int
-        What the random starts are drawn from.
+        Of the random starts.
 
     Returns
     -------
     Trajectory
-        A motion of the plant within the force limit; ``about`` tells ``converged``, ``iterations``, ``cost``,
+        A motion of the plant within the force limit; ``about`` holds ``converged``, ``iterations``, ``cost``,
         ``starts_tried`` and the settings.
 
     Raises
@@ -132,9 +135,9 @@ def ilqr(
     starts, iterations = checked_whole("starts", starts, 0), checked_whole("iterations", iterations, 0)
     if not (is_finite(tolerance) and tolerance >= 0):
         raise ValueError(f"tolerance must be finite and at least 0; got {tolerance!r}.")
-    problem = planner.about(start)
+    problem = planner.problem_at(start)
     if u_guess is None and x_guess is None:
-        plan, tried = planner.cold(start, starts, np.random.default_rng(seed), iterations, _COARSE)
+        plan, tried = planner.best_of_several(start, starts, np.random.default_rng(seed), iterations, _COARSE)
     else:
         plan, tried = planner.guessed(problem, start, u_guess, x_guess), 1
     used = plan.iterations
@@ -159,14 +162,14 @@ def ilqr(
 
 
 class ILQRMPC:
-    r"""Receding horizon: each sample a plan over the next :math:`N` is improved by iLQR, and its first force applied.
+    r"""Receding horizon: in each sample iLQR improves a plan over the next :math:`N`, and its first force is applied.
 
     A sample shifts the plan, follows it from the measured state with its feedback gains (an extra sample at its end is
     the saturated LQR's), and lowers its cost by at most ``iterations`` iterations.  Where none does, the plan that was
     followed stands: its own gains answer for the deviation.  The first plan is the cheapest of several starts, because
-    hanging at rest the cost has no slope.  While the plan is still dear, two others are tried beside it and take over
-    when they are 5 % cheaper: the saturated regulator's motion, and a challenger from random forces that is worked on
-    in the same way and replaced after 15 samples.  What makes a plan poor, such as a push, may come late.
+    hanging at rest the cost has no slope.  While the plan is still costly, two others are tried beside it and take over
+    when they cost 5 % less: the saturated regulator's motion, and a challenger from random forces that is improved in
+    the same way and replaced after 15 samples.  What makes a plan poor, such as a push, may come late.
 
     Parameters
     ----------
@@ -175,8 +178,8 @@ class ILQRMPC:
     target : str or array_like (6,)
         The name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere on the track.  The nearest whole
         turn counts, wherever the plan is.
-    horizon : int, optional
-        :math:`N`, samples, at least 2; left out, as in :func:`ilqr`.
+    horizon : float, optional
+        Length of the plan, s, rounded to :math:`N` samples, from 2 to 1000; left out, as in :func:`ilqr`.
     Q : sequence of six floats, optional
         Weights of the residuals, at least zero; left out, (10, 50, 50, 1, 1, 1), scaled from links of 1 m.
     R : float, optional
@@ -186,7 +189,7 @@ class ILQRMPC:
     starts : int
         Random starts of the first plan, in mirrored pairs.
     explore : bool
-        Whether a challenger from random forces is worked on.
+        Whether a challenger from random forces is kept.
     upright_only : bool
         Hold both links within a quarter turn of the target, by walls like the track's: for balancing, where more is a
         failure.  The default horizon is then shorter; challengers are not made.
@@ -195,7 +198,9 @@ class ILQRMPC:
     ----------
     lqr : LQR
         The regulator at the target, whose ``P`` weighs the end of the plan.
-    horizon : int
+    horizon : float
+        Length of the plan, s: a whole number of samples.
+    horizon_steps : int
         :math:`N`.
 
     Raises
@@ -205,8 +210,10 @@ class ILQRMPC:
 
     Notes
     -----
-    ``act.log`` tells, a sample, ``status`` (:class:`Step`), ``iterations`` and ``cost``.  The force is finite whatever
-    is measured: a measurement that is not finite is taken as the one planned for.
+    ``act.log`` holds, sample by sample, ``status`` (:class:`Step`), ``iterations`` and ``cost``.  The force is finite
+    whatever is measured: a measurement that is not finite is replaced by the one planned for, and ``held`` in the log
+    says where.  Angles are taken to the turn nearest to the plan.  From a state that no force keeps on the track, the
+    plan leaves it as little as it can.
     """
 
     batched = False
@@ -217,7 +224,7 @@ class ILQRMPC:
         rig: Rig | str,
         *,
         target: str | npt.ArrayLike = "up-up",
-        horizon: int | None = None,
+        horizon: float | None = None,
         Q: Sequence[float] | None = None,
         R: float | None = None,
         iterations: int = 2,
@@ -229,7 +236,8 @@ class ILQRMPC:
         iterations, starts = checked_whole("iterations", iterations, 0), checked_whole("starts", starts, 0)
         self.rig = self._planner.rig
         self.lqr = self._planner.lqr
-        self.horizon = self._planner.horizon
+        self.horizon_steps = self._planner.N
+        self.horizon = self.horizon_steps * self.rig.sample_time
         self.iterations = int(iterations)
         self.starts = int(starts)
         self.explore = bool(explore) and not upright_only
@@ -245,7 +253,7 @@ class ILQRMPC:
 
 
 class _Plan(NamedTuple):
-    """States, forces and feedback gains, and how they came about."""
+    """States, forces and feedback gains, with the figures of the last improvement."""
 
     x: Array
     u: Array
@@ -257,13 +265,13 @@ class _Plan(NamedTuple):
 
 
 class _Planner:
-    """A rig, a target and their weights: whatever plans have in common."""
+    """A rig, a target and their weights: what all plans have in common."""
 
     def __init__(
         self,
         rig: Rig | str,
         target: str | npt.ArrayLike,
-        horizon: int | None,
+        horizon: float | None,
         Q: Sequence[float] | None,
         R: float | None,
         upright_only: bool,
@@ -274,23 +282,22 @@ class _Planner:
         mass = float(params.coefficients().d1)
         if g == 0 and (horizon is None or Q is None or R is None):
             raise ValueError("Without gravity there is no scale of time and force: give horizon, Q and R.")
-        # What follows is (10, 50, 50, 1, 1, 1), 0.1 where links have 1 m and the plant 2 kg, and alike everywhere else.
+        # Of (10, 50, 50, 1, 1, 1) and 0.1 for links of 1 m and a plant of 2 kg, by dimensional analysis.
         if Q is None:
             Q = (10 / L**2, 50.0, 50.0, 9.81 / (g * L), 9.81 * L / g, 9.81 * L / g)
         self.Q = np.array(Q, dtype=np.float64)
         if self.Q.shape != (6,) or not np.isfinite(self.Q).all() or (self.Q < 0).any():
             raise ValueError(f"Q must be six finite weights, at least 0, of pos, th1, th2, vel, om1, om2; got {Q!r}.")
         self.R = 0.1 * (2 * 9.81 / (mass * g)) ** 2 if R is None else R
-        if horizon is None:
-            horizon = max(
-                round((_HORIZON_UPRIGHT if upright_only else _HORIZON) * math.sqrt(L / g) / rig.sample_time), 2
-            )
         self.rig = rig
-        self.horizon = checked_whole("horizon", horizon, 2)
+        if horizon is None:
+            scale = _HORIZON_UPRIGHT if upright_only else _HORIZON
+            self.N = max(round(scale * math.sqrt(L / g) / rig.sample_time), 2)
+        else:
+            self.N = _steps(horizon, rig.sample_time)
         self.upright_only = bool(upright_only)
         self.target = as_equilibrium(target)
         self.lqr = LQR(rig, self.Q, self.R, target=self.target)
-        self.tail = np.ascontiguousarray(self.lqr.K[0])
         self.P = np.array(self.lqr.P)
         soft_track = float(rig.track_limit) * (1 - 1 / 16)  # 0.15 m of 2.4 m
         if not abs(self.target[0]) < soft_track:
@@ -304,31 +311,40 @@ class _Planner:
             substeps=rig.substeps,
             force_limit=float(rig.force_limit),
             target=tuple(self.target.tolist()),
-            turn=0.0 if upright_only else _TURN,
+            turn=0.0 if upright_only else 2 * math.pi,
             Q=tuple(self.Q.tolist()),
             R=float(self.R),
             soft_track=soft_track,
             track_weight=1e4 / L**2,
+            hard_track=float(rig.track_limit) * (1 - 1 / 2000),
+            hard_weight=0.0,
             soft_angle=math.pi / 2 - 0.15 if upright_only else math.inf,
             angle_weight=1e4 if upright_only else 0.0,
         )
         # Random guesses: forces of the size of the plant's weight, held for a third of sqrt(L / g), on a cart that is
         # drawn to where it should be.
-        pace = math.sqrt(L / g) if g > 0 else self.horizon * rig.sample_time / _HORIZON
-        self.kick = 0.5 * min(float(rig.force_limit), 2 * mass * L / pace**2)
+        pace = math.sqrt(L / g) if g > 0 else self.N * rig.sample_time / _HORIZON
+        self.guess_std = 0.5 * min(float(rig.force_limit), 2 * mass * L / pace**2)
         self.hold = max(1, round(0.375 * pace / rig.sample_time))
         stiffness = 0.64 / pace
         self.centring = np.array([-mass * stiffness**2, 0.0, 0.0, -2 * mass * stiffness, 0.0, 0.0])
-        self.calm = 20.0 * float(self.Q[1] + self.Q[2])
-        """Cost of five samples upside down: what is cheaper needs no second thought."""
+        self.settled = 20.0 * float(self.Q[1] + self.Q[2])
+        """Cost of five samples upside down: a plan that costs less has no challengers."""
 
-    def about(self, x: Array) -> Problem:
-        """Return the problem near a state: with walls about the target, its turns are those of the state."""
-        if not self.upright_only:
-            return self.problem
-        turns = _TURN * np.rint((x[1:3] - self.target[1:3]) / _TURN)
-        near = self.target[0], *(self.target[1:3] + turns).tolist(), 0.0, 0.0, 0.0
-        return self.problem._replace(target=near)
+    def problem_at(self, x: Array) -> Problem:
+        """Return the problem from a state on.
+
+        With walls about the target, its turns are those of the state.  Where the cart already stands within the soft
+        wall of the track, a steep one keeps a plan from using what is left of it.
+        """
+        problem = self.problem
+        if abs(x[0]) > problem.soft_track:
+            problem = problem._replace(hard_weight=1e4 * problem.track_weight)
+        if self.upright_only:
+            turns = 2 * math.pi * np.rint((x[1:3] - self.target[1:3]) / (2 * math.pi))
+            near = self.target[0], *(self.target[1:3] + turns).tolist(), 0.0, 0.0, 0.0
+            problem = problem._replace(target=near)
+        return problem
 
     def followed(self, problem: Problem, x0: Array, x: Array, u: Array, K: Array) -> _Plan:
         """Return the motion from a state under forces and gains."""
@@ -338,7 +354,7 @@ class _Planner:
         return new._replace(cost=cost)
 
     def improved(self, problem: Problem, plan: _Plan, iterations: int, tolerance: float) -> _Plan:
-        """Improve a plan in place; give it with its new figures."""
+        """Improve a plan in place; return it with its new figures."""
         converged, tried, accepted, cost = improve(
             plan.x, plan.u, plan.K, problem, self.P, iterations, tolerance, _TRIALS
         )
@@ -347,42 +363,42 @@ class _Planner:
     def regulated(self, problem: Problem, x0: Array) -> _Plan:
         """Return the motion under the saturated regulator."""
         near = np.array(nearest_target(tuple(x0), problem))
-        N = self.horizon
-        gains = np.tile(-self.tail, (N, 1))
-        return self.followed(problem, x0, np.tile(near, (N + 1, 1)), np.zeros(N), gains)._replace(K=gains)
+        gains = np.tile(-self.lqr.K, (self.N, 1))
+        states = np.tile(near, (self.N + 1, 1))
+        return self.followed(problem, x0, states, np.zeros(self.N), gains)._replace(K=gains)
 
     def straight(self, problem: Problem, x0: Array) -> _Plan:
         """Return a straight line of states, which is no motion."""
         near = np.array(nearest_target(tuple(x0), problem))
-        share = np.linspace(0.0, 1.0, self.horizon + 1)[:, None]
-        N = self.horizon
+        N = self.N
+        share = np.linspace(0.0, 1.0, N + 1)[:, None]
         return _Plan((1 - share) * x0 + share * near, np.zeros(N), np.zeros((N, 6)), math.inf, 0, 0, False)
 
-    def kicked(self, problem: Problem, x0: Array, noise: Array) -> _Plan:
+    def driven(self, problem: Problem, x0: Array, noise: Array) -> _Plan:
         """Return the motion under random forces."""
-        N = self.horizon
-        u = np.repeat(self.kick * noise, self.hold)[:N]
+        N = self.N
+        u = np.repeat(self.guess_std * noise, self.hold)[:N]
         middle = np.zeros((N + 1, 6))
         middle[:, 0] = self.target[0]
         return self.followed(problem, x0, middle, u, np.tile(self.centring, (N, 1)))
 
     def noise(self, rng: np.random.Generator) -> Array:
         """Draw the numbers that make one random guess."""
-        return rng.standard_normal(-(-self.horizon // self.hold))
+        return rng.standard_normal(-(-self.N // self.hold))
 
-    def cold(
+    def best_of_several(
         self, x0: Array, starts: int, rng: np.random.Generator, iterations: int, tolerance: float
     ) -> tuple[_Plan, int]:
-        """Return the cheapest plan of several starts, and their number; random ones only if the others are dear."""
-        problem = self.about(x0)
-        iterations = min(iterations, _COLD)
+        """Return the cheapest plan of several starts, and their number; random ones only if the others are costly."""
+        problem = self.problem_at(x0)
+        iterations = min(iterations, _FIRST)
         guesses = [self.regulated(problem, x0), self.straight(problem, x0)]
         plans = [self.improved(problem, guess, iterations, tolerance) for guess in guesses]
-        if not min(plan.cost for plan in plans) <= self.calm:
+        if not min(plan.cost for plan in plans) <= self.settled:
             for _ in range(-(-starts // 2)):
                 noise = self.noise(rng)
                 for mirrored in (noise, -noise):
-                    plans.append(self.improved(problem, self.kicked(problem, x0, mirrored), iterations, tolerance))
+                    plans.append(self.improved(problem, self.driven(problem, x0, mirrored), iterations, tolerance))
         finite = [plan for plan in plans if math.isfinite(plan.cost)]
         return min(finite, key=lambda plan: plan.cost, default=plans[0]), len(plans)
 
@@ -390,7 +406,7 @@ class _Planner:
         self, problem: Problem, x0: Array, u_guess: npt.ArrayLike | None, x_guess: npt.ArrayLike | None
     ) -> _Plan:
         """Return the plan that a caller guesses."""
-        N = self.horizon
+        N = self.N
         u = np.zeros(N) if u_guess is None else np.array(u_guess, dtype=np.float64)
         if u.shape != (N,) or not np.isfinite(u).all():
             raise ValueError(f"u_guess must be finite forces of shape ({N},), one a sample; got shape {u.shape}.")
@@ -412,7 +428,9 @@ class _Horizon:
     def __init__(
         self, planner: _Planner, iterations: int, starts: int, explore: bool, rng: np.random.Generator
     ) -> None:
-        self.log: dict[str, list[float]] = {"status": [], "iterations": [], "cost": []}
+        self._record: dict[str, list[Any]] = {"status": [], "iterations": [], "cost": []}
+        held, self._missing_in = watch(1)
+        self.log: ChainMap[str, list[Any]] = ChainMap(self._record, held)
         self._planner = planner
         self._iterations = iterations
         self._starts = starts
@@ -424,38 +442,42 @@ class _Horizon:
 
     def __call__(self, t: float, y: Array) -> Array:
         x = np.array(y[0], dtype=np.float64)
+        missing = self._missing_in(y) is not None and not np.isfinite(x).all()
         if self._plan is None:
-            if not np.isfinite(x).all():
-                return self._told(Step.FELL_BACK, 0, math.nan, 0.0)
-            plan, _ = self._planner.cold(x, self._starts, self._rng, _COLD, _COARSE)
+            if missing:
+                return self._logged(Step.FELL_BACK, 0, math.nan, 0.0)
+            plan, _ = self._planner.best_of_several(x, self._starts, self._rng, _FIRST, _COARSE)
             self._plan = plan
-            return self._told(Step.PLANNED, plan.iterations, plan.cost, plan.u[0])
-        problem = self._planner.about(x) if np.isfinite(x).all() else self._planner.problem
+            return self._logged(Step.PLANNED, plan.iterations, plan.cost, plan.u[0])
+        planned = self._plan.x[1]
+        if missing:
+            x = planned.copy()
+        elif np.abs([x, planned]).max() < 1e6:  # beyond, a turn is lost in rounding
+            x[1:3] += 2 * math.pi * np.rint((planned[1:3] - x[1:3]) / (2 * math.pi))
+        problem = self._planner.problem_at(x)
         plan = self._plan = self._advanced(problem, x, self._plan)
         status = Step.CONVERGED if plan.converged else Step.IMPROVED if plan.accepted else Step.FELL_BACK
-        if self._iterations and plan.cost > self._planner.calm and self._cheaper(problem, x, plan):
+        if self._iterations and plan.cost > self._planner.settled and not missing and self._cheaper(problem, x, plan):
             status = Step.SWITCHED
-        return self._told(status, plan.iterations, self._plan.cost, self._plan.u[0])
+        return self._logged(status, plan.iterations, self._plan.cost, self._plan.u[0])
 
-    def _told(self, status: Step, iterations: int, cost: float, force: float) -> Array:
-        self.log["status"].append(float(status))
-        self.log["iterations"].append(float(iterations))
-        self.log["cost"].append(cost)
+    def _logged(self, status: Step, iterations: int, cost: float, force: float) -> Array:
+        self._record["status"].append(float(status))
+        self._record["iterations"].append(float(iterations))
+        self._record["cost"].append(cost)
         return np.array([force])
 
     def _advanced(self, problem: Problem, x: Array, plan: _Plan) -> _Plan:
         """Shift a plan by a sample, follow it from a state, and improve it.
 
-        A state that is not finite is taken as planned.  A plan that cannot be followed gives way to no force at all.
+        A plan that cannot be followed is abandoned for no force at all.
         """
         planner = self._planner
-        end = plan.x[-1]
-        tail = -float(planner.tail @ (end - np.array(nearest_target(end.tolist(), problem))))
+        end, gain = plan.x[-1], planner.lqr.K[0]
+        last = -float(gain @ (end - np.array(nearest_target(end.tolist(), problem))))
         states = np.concatenate((plan.x[1:], plan.x[-1:]))
-        forces = np.append(plan.u[1:], min(max(tail, -problem.force_limit), problem.force_limit))
-        gains = np.concatenate((plan.K[1:], -planner.tail[None]))
-        if not np.isfinite(x).all():
-            x = states[0]
+        forces = np.append(plan.u[1:], min(max(last, -problem.force_limit), problem.force_limit))
+        gains = np.concatenate((plan.K[1:], -gain[None]))
         followed = planner.followed(problem, x, states, forces, gains)
         if not math.isfinite(followed.cost):
             gains[:], forces[:] = 0.0, 0.0
@@ -466,9 +488,7 @@ class _Horizon:
         return planner.improved(problem, followed._replace(K=gains), self._iterations, 1e-6)
 
     def _cheaper(self, problem: Problem, x: Array, plan: _Plan) -> bool:
-        """Try the regulator, and work on the challenger for a sample; tell whether one took over."""
-        if not np.isfinite(x).all():
-            return False
+        """Try the regulator, and improve the challenger for a sample; return whether one took over."""
         regulated = self._planner.regulated(problem, x)
         if regulated.cost < _CHEAPER * plan.cost:  # a plan may well pass the target by
             self._plan = self._planner.improved(problem, regulated, self._iterations, 1e-6)
@@ -477,7 +497,7 @@ class _Horizon:
             return False
         if self._challenger is None:
             noise = self._planner.noise(self._rng)
-            guess = self._planner.kicked(problem, x, noise if plan.u[0] >= 0 else -noise)  # so a mirrored run mirrors
+            guess = self._planner.driven(problem, x, noise if plan.u[0] >= 0 else -noise)  # so a mirrored run mirrors
             self._challenger = self._planner.improved(problem, guess, self._iterations, _COARSE)
             self._age = 0
             return False
@@ -488,3 +508,14 @@ class _Horizon:
             self._plan = challenger
         self._challenger = None if better or self._age >= _PATIENCE or challenger.converged else challenger
         return better
+
+
+def _steps(horizon: float, sample_time: float) -> int:
+    """Return a horizon in samples."""
+    if is_finite(horizon) and 2 <= round(horizon / sample_time) <= _MOST_STEPS:
+        return round(horizon / sample_time)
+    least, most = 2 * sample_time, _MOST_STEPS * sample_time
+    message = f"horizon must be from {least:g} to {most:g} s, 2 to {_MOST_STEPS} samples; got {horizon!r}."
+    if is_finite(horizon) and horizon > most:
+        message += f" If samples are meant, that is horizon={horizon * sample_time:g}."
+    raise ValueError(message)

@@ -17,12 +17,12 @@ from .residuals import make_residuals
 
 _TURN = 2 * math.pi
 _residuals = inline(make_residuals(sin))
-_BLOCK = 32  # samples linearised side by side, so that LLVM turns the loop over them into vector instructions
-NO_GAPS = np.empty((0, 6, 8))
+_BLOCK = 32  # samples linearized side by side, so that LLVM turns the loop over them into vector instructions
+NO_GAPS = np.empty((0, 6, 8))  # what a rollout over the full length takes for D, and does not read
 
 
 class Problem(NamedTuple):
-    """What the compiled code needs to know."""
+    """Plant, target and weights, as the compiled code takes them."""
 
     coefficients: tuple[float, ...]
     h: float
@@ -35,6 +35,9 @@ class Problem(NamedTuple):
     R: float
     soft_track: float
     track_weight: float
+    hard_track: float
+    """Where a second, far steeper wall begins, next to the track's end."""
+    hard_weight: float
     soft_angle: float
     angle_weight: float
 
@@ -45,7 +48,7 @@ def _row(a, k):
 
 
 @inline
-def _put(a, k, x):
+def _set_row(a, k, x):
     a[k, 0] = x[0]
     a[k, 1] = x[1]
     a[k, 2] = x[2]
@@ -86,6 +89,7 @@ def _walls(x, target, p):
     """Return how far a state is into the walls."""
     return (
         _beyond(x[0], p.soft_track),
+        _beyond(x[0], p.hard_track),
         _beyond(x[1] - target[1], p.soft_angle),
         _beyond(x[2] - target[2], p.soft_angle),
     )
@@ -93,8 +97,8 @@ def _walls(x, target, p):
 
 @inline
 def _wall_cost(x, target, p):
-    a, b, c = _walls(x, target, p)
-    return p.track_weight * a * a + p.angle_weight * (b * b + c * c)
+    soft, hard, b, c = _walls(x, target, p)
+    return p.track_weight * soft * soft + p.hard_weight * hard * hard + p.angle_weight * (b * b + c * c)
 
 
 @inline
@@ -131,24 +135,31 @@ def cost_of(x, u, p, P):
 
 @inline
 def _residual_slopes(x, target):
-    """Return d e_i / d x_i; every residual depends on its own state alone."""
+    """Return d e_i / d x_i; every residual depends on its own state alone.
+
+    Their own curvature is left out, as in the Gauss-Newton method: so the Hessian of the cost stays positive, also
+    where a link hangs and the cost is greatest.
+    """
     return 1.0, cos(0.5 * (x[1] - target[1])), cos(0.5 * (x[2] - target[2])), 1.0, 1.0, 1.0
 
 
 @inline
 def _add_walls(x, target, p, slopes, column, curvatures):
-    """Add the walls' halved slopes to a column of one array, and their halved curvatures to the diagonal of another."""
-    a, b, c = _walls(x, target, p)
-    slopes[0, column] += p.track_weight * a
+    """Add the walls' halved slopes to a column of one array, and their halved curvatures to the diagonal of another.
+
+    A wall curves only on its far side, where it also has a slope; that jump is why a step is tried before it is taken.
+    """
+    soft, hard, b, c = _walls(x, target, p)
+    slopes[0, column] += p.track_weight * soft + p.hard_weight * hard
     slopes[1, column] += p.angle_weight * b
     slopes[2, column] += p.angle_weight * c
-    curvatures[0, 0] += p.track_weight if a != 0.0 else 0.0
+    curvatures[0, 0] += (p.track_weight if soft != 0.0 else 0.0) + (p.hard_weight if hard != 0.0 else 0.0)
     curvatures[1, 1] += p.angle_weight if b != 0.0 else 0.0
     curvatures[2, 2] += p.angle_weight if c != 0.0 else 0.0
 
 
 @inline
-def _put_slopes(J, stage, j, slopes):
+def _set_slopes(J, stage, j, slopes):
     for a in range(6):
         for b in range(3):
             J[stage, 3 * a + b, j] = slopes[a][b]
@@ -156,7 +167,10 @@ def _put_slopes(J, stage, j, slopes):
 
 @inline
 def _tangent(J, s, j, z, push):
-    """Return the rates of a small deviation z under a small force, from the slopes at a stage."""
+    """Return the rates of a small deviation z under a small force, from the slopes at a stage.
+
+    The deviation's own rates are its velocities; the accelerations have no slope by the position z[0].
+    """
     return (
         z[3],
         z[4],
@@ -180,18 +194,19 @@ def _along(J, s, b, j, z, push):
 
 
 @compiled
-def linearise(x, u, p, D):
+def linearize(x, u, p, D):
     """Fill D (N, 6, 8): seven columns of slopes of the sample by (x, u), and the gap from the next state.
 
-    The four stages of a Runge-Kutta step are visited once, their slopes kept, and six deviations led through them; the
-    seventh, of the position, stays what it is.
+    The derivative of a Runge-Kutta step is the same Runge-Kutta step of the linearized plant, with the slopes of its
+    four stages.  So these are visited once, their slopes kept, and six deviations led through them; the seventh, of the
+    position, stays what it is, as nothing depends on where the cart stands.
     """
     c = Coefficients(*p.coefficients)
     h = p.h
     N = len(u)
     now = np.empty((6, _BLOCK))
-    Z = np.empty((6, 6, _BLOCK))  # deviation, state, sample
-    J = np.empty((4, 18, _BLOCK))
+    Z = np.empty((6, 6, _BLOCK))  # deviation (five states, then the force), state, sample
+    J = np.empty((4, 18, _BLOCK))  # stage, slope of an acceleration, sample: the sample last, for vector instructions
     for start in range(0, N, _BLOCK):
         m = min(_BLOCK, N - start)
         for j in range(m):
@@ -205,16 +220,16 @@ def linearise(x, u, p, D):
                 f = (u[start + j], 0.0, 0.0)
                 x1 = (now[0, j], now[1, j], now[2, j], now[3, j], now[4, j], now[5, j])
                 k1 = rates(x1, f, c)
-                _put_slopes(J, 0, j, acceleration_slopes(x1, k1[3:], c))
+                _set_slopes(J, 0, j, acceleration_slopes(x1, k1[3:], c))
                 x2 = axpy(x1, k1, 0.5 * h)
                 k2 = rates(x2, f, c)
-                _put_slopes(J, 1, j, acceleration_slopes(x2, k2[3:], c))
+                _set_slopes(J, 1, j, acceleration_slopes(x2, k2[3:], c))
                 x3 = axpy(x1, k2, 0.5 * h)
                 k3 = rates(x3, f, c)
-                _put_slopes(J, 2, j, acceleration_slopes(x3, k3[3:], c))
+                _set_slopes(J, 2, j, acceleration_slopes(x3, k3[3:], c))
                 x4 = axpy(x1, k3, h)
                 k4 = rates(x4, f, c)
-                _put_slopes(J, 3, j, acceleration_slopes(x4, k4[3:], c))
+                _set_slopes(J, 3, j, acceleration_slopes(x4, k4[3:], c))
                 for i in range(6):
                     now[i, j] = x1[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
             for d in range(6):
@@ -240,9 +255,9 @@ def linearise(x, u, p, D):
 def backward(x, u, p, P, D, damping, du, K):
     r"""Run the Riccati recursion back to front; fill the steps of the forces du (N,) and the gains K (N, 6).
 
-    With the columns M = (A, B) of a sample, G = M'SM plus the stage's own curvature, and its last column the gradient.
-    Returns the halved first and second order changes of the cost under the full step, and the greatest halved slope of
-    the cost by any state.
+    Half the cost to go from sample k is taken to change by s'dx + dx'S dx / 2.  With the columns M = (A, B) of a
+    sample, G = M'SM plus the stage's own curvature, and its last column the gradient.  Return the halved first and
+    second order changes of the cost under the full step, and the greatest halved slope of the cost by any state.
     """
     N = len(u)
     S = np.empty((6, 6))
@@ -288,15 +303,20 @@ def backward(x, u, p, P, D, damping, du, K):
         _add_walls(now, target, p, G, 7, G)
         Qu = G[6, 7] + p.R * u[k]
         Quu = G[6, 6] + p.R
+        # Damping is relative, as a force's curvature runs over orders of magnitude along a plan: in proportion, it
+        # shortens every step alike.  What is predicted below is the undamped cost, under the damped step.
         damped = Quu * (1.0 + damping)
-        wished = -Qu / damped
-        step = max(min(wished, p.force_limit - u[k]), -p.force_limit - u[k])
-        gain = -1.0 / damped if step == wished else 0.0
+        wanted = -Qu / damped
+        step = max(min(wanted, p.force_limit - u[k]), -p.force_limit - u[k])
+        # With one force the box-constrained problem has this closed solution.  Where it is clamped, a small deviation
+        # of the state leaves the force at its limit, so there is no feedback.
+        gain = -1.0 / damped if step == wanted else 0.0
         du[k] = step
         first += step * Qu
         second += step * step * Quu
         for i in range(6):
             K[k, i] = gain * G[6, i]
+        # In full rather than by the shorter form G - G_xu G_ux / G_uu, which holds only without damping and clamping.
         for i in range(6):
             s[i, 0] = G[i, 7] + step * G[6, i] + K[k, i] * (Quu * step + Qu)
             for j in range(6):
@@ -306,14 +326,18 @@ def backward(x, u, p, P, D, damping, du, K):
 
 @compiled
 def rollout(x0, x, u, K, du, D, length, p, P, x_new, u_new):
-    """Follow u + length du + K (x_new - x), clipped; leave the share 1 - length of every gap; give the cost."""
+    """Follow u + length du + K (x_new - x), clipped, into x_new and u_new; return the cost.
+
+    The linear prediction behind du closes every gap in one full step.  A step of a part of that length is to close the
+    same part, so that the share 1 - length of each gap is left, and the new states stay near those linearized about.
+    """
     c = Coefficients(*p.coefficients)
     N = len(u)
     left = 1.0 - length
     now = (x0[0], x0[1], x0[2], x0[3], x0[4], x0[5])
     cost = 0.0
     for k in range(N):
-        _put(x_new, k, now)
+        _set_row(x_new, k, now)
         force = u[k] + length * du[k]
         for i in range(6):
             force += K[k, i] * (x_new[k, i] - x[k, i])
@@ -330,7 +354,7 @@ def rollout(x0, x, u, K, du, D, length, p, P, x_new, u_new):
                 now[4] - left * D[k, 4, 7],
                 now[5] - left * D[k, 5, 7],
             )
-    _put(x_new, N, now)
+    _set_row(x_new, N, now)
     return cost + _final_cost(now, P, p)
 
 
@@ -338,14 +362,22 @@ def rollout(x0, x, u, K, du, D, length, p, P, x_new, u_new):
 def _keep(x, u, K, x_new, u_new, K_new):
     for k in range(len(u)):
         u[k] = u_new[k]
-        _put(x, k, _row(x_new, k))
-        _put(K, k, _row(K_new, k))
-    _put(x, len(u), _row(x_new, len(u)))
+        _set_row(x, k, _row(x_new, k))
+        _set_row(K, k, _row(K_new, k))
+    _set_row(x, len(u), _row(x_new, len(u)))
+
+
+@inline
+def next_damping(damping, better):
+    """Return the damping after an iteration: soon none where plans get better, so that the last steps are Newton's."""
+    if better:
+        return 0.2 * damping if damping > 1e-3 else 0.0
+    return max(10.0 * damping, 1e-2)
 
 
 @compiled
 def improve(x, u, K, p, P, iterations, tolerance, trials):
-    """Improve a plan in place; give whether it converged, the iterations tried and accepted, and the cost.
+    """Improve a plan in place; return whether it converged, the iterations tried and accepted, and the cost.
 
     While there are gaps, the cost counts them too, at twice the greatest slope by a state, which makes the penalty
     exact.  Where a plan runs out of iterations with gaps left, they are closed by following it with its gains.
@@ -361,7 +393,7 @@ def improve(x, u, K, p, P, iterations, tolerance, trials):
     for i in range(6):
         start[i] = x[0, i]
     damping = 0.0
-    price = 0.0
+    penalty = 0.0
     gaps = 0.0
     fresh = False
     converged = False
@@ -369,12 +401,12 @@ def improve(x, u, K, p, P, iterations, tolerance, trials):
     accepted = 0
     while True:
         if not fresh:
-            linearise(x, u, p, D)
+            linearize(x, u, p, D)
             gaps = 0.0
             for k in range(N):
                 for i in range(6):
                     gaps += abs(D[k, i, 7])
-            if gaps < 1e-9:
+            if gaps < 1e-9:  # rounding
                 gaps = 0.0
             fresh = True
         if tried == iterations or damping > 1e6:
@@ -384,17 +416,19 @@ def improve(x, u, K, p, P, iterations, tolerance, trials):
             _keep(x, u, K, x, u, K_new)
             converged = True
             break
-        price = max(price, 4.0 * steepest)
+        # A gap moves the cost by at most the slope there, 2 * steepest with the halving undone: an exact penalty has to
+        # be steeper, and must not fall, or two plans could each be better than the other.
+        penalty = max(penalty, 4.0 * steepest)
         length = 1.0
         tried += 1
         better = False
         cost_new = cost
         for _ in range(trials):
             cost_new = rollout(start, x, u, K_new, du, D, length, p, P, x_new, u_new)
-            if gaps == 0.0:
+            if gaps == 0.0:  # Armijo's rule, with the halving undone
                 better = cost_new < cost + 1e-4 * length * (2.0 * first + length * second)
             else:
-                better = cost_new + (1.0 - length) * gaps * price < cost + (1.0 - 1e-4 * length) * gaps * price
+                better = cost_new + (1.0 - length) * gaps * penalty < cost + (1.0 - 1e-4 * length) * gaps * penalty
             if better:
                 break
             length *= 0.4
@@ -403,9 +437,7 @@ def improve(x, u, K, p, P, iterations, tolerance, trials):
             cost = cost_new
             accepted += 1
             fresh = False
-            damping = 0.2 * damping if damping > 1e-3 else 0.0
-        else:
-            damping = max(10.0 * damping, 1e-2)
+        damping = next_damping(damping, better)
     if gaps > 0.0:
         cost = rollout(start, x, u, K, np.zeros(N), D, 1.0, p, P, x_new, u_new)
         _keep(x, u, K, x_new, u_new, K)

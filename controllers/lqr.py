@@ -8,18 +8,19 @@ import warnings
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
-import control
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import brentq
+from scipy.linalg import solve, solve_continuous_are, solve_discrete_are
 
 from dpend.arguments import is_finite
-from dpend.controller import Act, Controller, check_controller, is_batched
+from dpend.controller import Act, Controller
 from dpend.deprecation import renamed_arguments
 from dpend.linear import discretize, linearize
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
 from dpend.state import NAMES, as_equilibrium, deviation
+
+from .wrapping import Wrapper, holding
 
 
 class Margins(NamedTuple):
@@ -114,14 +115,17 @@ class LQR:
         self.R = float(R)
         self.target = as_equilibrium(target)
         A, B = self._plant = linearize(rig.params, self.target)
-        self._Ad, self._Bd = discretize(A, B, rig.sample_time)
+        self._Ad, self._Bd = map(np.ascontiguousarray, discretize(A, B, rig.sample_time))
         try:
+            # scipy's solvers, which python-control calls as well: to import that takes three times as long as all else.
             if design == "discrete":
-                K, P, poles = control.dlqr(self._Ad, self._Bd, self.Q, self.R)
-                slowest = np.abs(poles).max() - 1
+                P = solve_discrete_are(self._Ad, self._Bd, self.Q, [[self.R]])
+                K = solve(self._Bd.T @ P @ self._Bd + self.R, self._Bd.T @ P @ self._Ad)
+                slowest = np.abs(np.linalg.eigvals(self._Ad - self._Bd @ K)).max() - 1
             elif design == "continuous":
-                K, P, poles = control.lqr(A, B, self.Q, self.R)
-                slowest = np.real(poles).max()
+                P = solve_continuous_are(A, B, self.Q, [[self.R]])
+                K = B.T @ P / self.R
+                slowest = np.linalg.eigvals(A - B @ K).real.max()
             else:
                 raise ValueError(f'design must be "discrete" or "continuous"; got {design!r}.')
             if slowest > -1e-10:  # the solver does not refuse an integrator that no weight sees
@@ -151,7 +155,7 @@ class LQR:
         """Return the law for ``n`` runs."""
         gain, target = self.K[0], self.target
         # A matrix product would round a row differently in batches of different size.
-        return lambda t, y: -np.einsum("ij,j->i", deviation(y, target), gain)
+        return holding(n, lambda t, y: -np.einsum("ij,j->i", deviation(y, target), gain))
 
     def margins(self) -> Margins:
         """Return the margins of the sampled loop :math:`L(z) = K(zI - A_d)^{-1}B_d`.
@@ -161,6 +165,8 @@ class LQR:
         ValueError
             If the loop is unstable, and so has no margins.
         """
+        import control  # which imports matplotlib
+
         radius = float(np.abs(self.poles).max())
         if radius >= 1:
             raise ValueError(f"The sampled loop is unstable (spectral radius {radius:.3f}): it has no margins.")
@@ -213,6 +219,8 @@ def _radius(A: npt.NDArray[Any]) -> float:
 
 def _first_exit(radius: Callable[[float], float], path: Array, never: float = np.inf) -> float:
     """Return where, along a path that begins stable, the spectral radius first reaches one."""
+    from scipy.optimize import brentq
+
     for inside, outside in itertools.pairwise(path):
         if radius(outside) >= 1:
             edge: Any = brentq(lambda point: radius(point) - 1, inside, outside, xtol=1e-12)
@@ -237,12 +245,13 @@ def _weight(Q: npt.ArrayLike | None) -> Array:
     return weight
 
 
-class BangBang:
-    r"""The sign of another law, :math:`u = F\,\mathrm{sgn}(u_\text{inner})`.
+@renamed_arguments(inner="controller")
+class BangBang(Wrapper):
+    r"""The sign of another law, :math:`u = F\,\mathrm{sgn}(\bar u)`, :math:`\bar u` the wrapped law's force.
 
     Parameters
     ----------
-    inner : Controller
+    controller : Controller
         The law whose sign is taken; any state feedback.
     force : float
         :math:`F`, N, greater than zero and finite.
@@ -250,22 +259,16 @@ class BangBang:
     Raises
     ------
     TypeError
-        If ``inner`` is no controller.
+        If ``controller`` is none.
     ValueError
         If the force is not greater than zero or not finite.
     """
 
-    def __init__(self, inner: Controller, force: float) -> None:
-        check_controller(inner)
+    def __init__(self, controller: Controller, force: float) -> None:
+        super().__init__(controller, "sign of {}")
         if not (is_finite(force) and force > 0):
             raise ValueError(f"force must be finite and greater than 0 N; got {force!r}.")
-        self.inner = inner
         self.force = float(force)
-        self.batched = is_batched(inner)
-        self.name = f"sign of {getattr(inner, 'name', type(inner).__name__)}"
 
-    def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Return the law for ``n`` runs."""
-        act = self.inner.start(n, rng)
-        force = self.force
-        return lambda t, y: force * np.sign(act(t, y))
+    def _around(self, n: int, inner: Act) -> Act:
+        return lambda t, y: self.force * np.sign(inner(t, y))

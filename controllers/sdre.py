@@ -1,4 +1,4 @@
-r"""The state-dependent Riccati equation: LQR designed anew in every state, for the plant factorised there."""
+r"""The state-dependent Riccati equation: LQR designed again in every state, for the plant factorised there."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from dpend.rig import Rig, single_rig
 from dpend.state import nearest_upright
 
 from .lqr import LQR
+from .wrapping import holding, with_logs
 
 _STEP = 1e-30  # of the complex step, which has no cancellation
 
@@ -26,7 +27,8 @@ def factorize(params: Params, x: npt.ArrayLike) -> tuple[Array, Array]:
     :math:`G_i = (G_i/\theta_i)\,\theta_i`, and what depends on the rates is :math:`C(q, \dot q)\,\dot q`.  Nothing of
     the equations is stated again: the columns of :math:`D^{-1}` are the accelerations that unit forces add, :math:`G`
     is what they must make up for at rest, and as :math:`C\dot q` is quadratic in the rates and friction linear, the
-    derivative at half the rates is the factor.  What smooth Coulomb friction leaves over is put on the cart's speed.
+    derivative at half the rates is the factor.  What smooth Coulomb friction leaves over is
+    attributed to the cart's speed.
 
     Parameters
     ----------
@@ -178,7 +180,7 @@ class SDRE:
 
     Notes
     -----
-    ``act.log["kept"]`` tells for each call which rows kept their last gain.
+    ``act.log["kept"]`` says for each call which rows kept their last gain.
 
     Source: A. Bogdanov, CSE-04-006, 2004, section 4; T. Çimen, *State-dependent Riccati equation (SDRE) control: a
     survey*, 2008.
@@ -206,16 +208,15 @@ class SDRE:
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
         gains = np.tile(self.lqr.K[0], (n, 1))
-        told: list[Array] = []
+        log: dict[str, list[Array]] = {"kept": []}
 
         def act(_: float, y: Array) -> Array:
             K, found = self.gains(y)
             gains[found] = K[found]
-            told.append((~found).astype(np.float64))
+            log["kept"].append((~found).astype(np.float64))
             return -np.einsum("ij,ij->i", gains, nearest_upright(y))
 
-        act.log = {"kept": told}  # type: ignore[attr-defined]
-        return act
+        return holding(n, with_logs(act, log))
 
 
 def _held(A: Array, B: Array, sample_time: float) -> tuple[Array, Array]:

@@ -18,6 +18,7 @@ from dpend.state import as_equilibrium, deviation
 from dpend.stepper import Stepper
 
 from .lqr import LQR
+from .wrapping import holding, log_of, name_of, with_logs
 
 Region = Callable[[Array], npt.NDArray[np.bool_]]
 """Which states ``(n, 6)`` belong to a region, ``(n,)``."""
@@ -29,7 +30,7 @@ class Ellipsoid:
     Parameters
     ----------
     lqr : LQR
-        Returns :math:`P` and :math:`x^*`.
+        Whose :math:`P` and :math:`x^*` count.
     level : float
         :math:`c`, greater than zero.
 
@@ -66,10 +67,10 @@ class Ellipsoid:
 
     @classmethod
     def within_limits(cls, lqr: LQR) -> Ellipsoid:
-        r"""Return the greatest on which no limit of the rig is met by the *linear* loop.
+        r"""Return the greatest on which the *linear* loop meets no limit of the rig.
 
         :math:`|Kx| \le u_\max` holds on :math:`x^\top P x \le u_\max^2 / (K P^{-1} K^\top)`, and the track's limit
-        bounds the level likewise.  For the plant made linear that is invariant, and so a region of attraction; it knows
+        bounds the level likewise.  For the linearized plant that is invariant, and so a region of attraction; it knows
         nothing of what the sines do, and on most presets reaches beyond the horizontal.
 
         Parameters
@@ -110,7 +111,7 @@ class Ellipsoid:
         seed : int
             What they are drawn from.
         duration : float, optional
-            Seconds until rest; see :class:`RolloutRegion`.
+            Seconds until it is at rest; see :class:`RolloutRegion`.
 
         Returns
         -------
@@ -143,11 +144,11 @@ class Ellipsoid:
 
 @renamed_arguments(about="target", law="controller")
 class RolloutRegion:
-    """The states from which a law, simulated ahead on the rig as it is believed to be, comes to rest on the track.
+    """The states from which a law, simulated on the rig as it is believed to be, comes to rest on the track.
 
-    That is the region of attraction itself as far as the model knows it, force and track limits included, at the price
-    of a simulation: states with a link below level, as seen from the target, are not tried, and those that fall on the
-    way are given up at once.
+    That is the region of attraction itself as far as the model knows it, force and track limits included, at the cost
+    of a simulation: states with a link beyond the horizontal, as seen from the target, are not tried, and those that
+    fall on the way are abandoned at once.
 
     Parameters
     ----------
@@ -182,7 +183,9 @@ class RolloutRegion:
         rig = single_rig(rig, "RolloutRegion")
         check_controller(controller)
         if not is_batched(controller):
-            raise ValueError(f"{_name(controller)} treats one run at a time; looking ahead takes a batched law.")
+            raise ValueError(
+                f"{name_of(controller)} treats one run at a time; a rollout of many states takes a batched law."
+            )
         if duration is None:
             c = rig.params.coefficients()
             duration = 8 * math.sqrt(float(c.length1 + c.length2) / max(float(rig.params.gravity), 1.0))
@@ -197,7 +200,7 @@ class RolloutRegion:
         self.within = float(within)
 
     def __repr__(self) -> str:
-        return f"<region from which {_name(self.controller)} is seen to come to rest in {self.duration:.3g} s>"
+        return f"<region from which {name_of(self.controller)} comes to rest in {self.duration:.3g} s>"
 
     def __call__(self, x: Array) -> npt.NDArray[np.bool_]:
         """Return from which states ``(n, 6)`` the law comes to rest."""
@@ -222,7 +225,7 @@ class RolloutRegion:
         return rests
 
     def fallen(self, x: Array, angle: float = 0.5 * np.pi) -> npt.NDArray[np.bool_]:
-        """Return which states ``(n, 6)`` have a link further than an angle from the target's, level by default."""
+        """Return which states ``(n, 6)`` have a link further than an angle from the target's, horizontal by default."""
         return ~(np.abs(deviation(x, self.target)[:, 1:3]).max(axis=1) <= angle)
 
 
@@ -270,7 +273,7 @@ class SwitchingController:
     r"""Law ``first`` until the state is in a region, then law ``then``; back again where the state is lost.
 
     Switching controllers nest: ``SwitchingController(rig, EnergyPump(rig), planner)`` as the ``first`` of another pumps
-    energy, plans the last swing, and balances. A batched law runs along from the start in every row and is heard where
+    energy, plans the last swing, and balances.  A batched law runs along from the start in every row and is used where
     it is in charge; one that treats a single run at a time is started afresh, its time counted from zero, whenever it
     is put in charge.
 
@@ -285,11 +288,11 @@ class SwitchingController:
     region : callable, optional
         Which states ``(n, 6)`` are handed over, ``(n,)``: :class:`Ellipsoid`, :class:`RolloutRegion`,
         :class:`NearEnergy` or any function.  Left out, ``RolloutRegion`` where ``then`` is an LQR: the states from
-        which that law is seen to come to rest; ``NearEnergy`` for a planner of one run at a time; required otherwise.
+        which that law comes to rest; ``NearEnergy`` for a planner of one run at a time; required otherwise.
     leave : callable, optional
         Which states are handed back.  It is asked only while ``then`` is in charge, so that it makes the hysteresis.
-        Left out, those with a link below level, as seen from the target, where ``then`` is an LQR; for any other law
-        none.
+        Left out, those with a link beyond the horizontal, as seen from the target, where ``then`` is an LQR; for any
+        other law none.
 
     Raises
     ------
@@ -303,7 +306,9 @@ class SwitchingController:
     A batched law that counts its samples, such as :class:`~controllers.tvlqr.TVLQR`, or remembers what it commanded,
     ages while it is not in charge.
 
-    ``act.log["caught"]`` tells for each call where ``then`` was in charge.
+    ``act.log["caught"]`` says for each call where ``then`` was in charge.  The rest of the log is, row by row, that of
+    the law in charge, NaN where it has no entry of that name; the ``caught`` of a nested one is found under
+    ``first.caught`` or ``then.caught``.
     """
 
     def __init__(
@@ -323,21 +328,21 @@ class SwitchingController:
             check_controller(law)
         for name, asked in (("region", region), ("leave", leave)):
             if asked is not None and not callable(asked):
-                raise TypeError(f"{name} must tell which states (n, 6) belong to it, as a function; got {asked!r}.")
+                raise TypeError(f"{name} must say which states (n, 6) belong to it, as a function; got {asked!r}.")
         if isinstance(self.then, LQR):
             ahead = RolloutRegion(rig, self.then, target=self.then.target)
             self.region: Region = ahead if region is None else region
             self.leave: Region = ahead.fallen if leave is None else leave
         elif region is None and is_batched(self.then):
             raise ValueError(
-                f"Say in which region {_name(self.then)} is to take over, region=...; only an LQR and planners of one "
-                "run at a time (batched = False) have one by default."
+                f"Say in which region {name_of(self.then)} is to take over, region=...; only an LQR and planners of "
+                "one run at a time (batched = False) have one by default."
             )
         else:
             self.region = NearEnergy(rig) if region is None else region
             self.leave = _nowhere if leave is None else leave
         self.batched = is_batched(self.first) and is_batched(self.then)
-        self.name = f"{_name(self.first)}, then {_name(self.then)}"
+        self.name = f"{name_of(self.first)}, then {name_of(self.then)}"
 
     def __repr__(self) -> str:
         return f"<{self.name}>"
@@ -346,7 +351,7 @@ class SwitchingController:
         """Return the law for ``n`` runs."""
         caught = np.zeros(n, dtype=np.bool_)
         laws = [_Along(law, n, rng) if is_batched(law) else _Afresh(law, n, rng) for law in (self.first, self.then)]
-        told: list[Array] = []
+        log: dict[str, list[Array]] = {"caught": []}
 
         def act(t: float, y: Array) -> Array:
             nonlocal caught
@@ -356,22 +361,34 @@ class SwitchingController:
                 caught[before] = ~np.asarray(self.leave(y[before]), dtype=np.bool_)
             if not before.all():
                 caught[~before] = self.region(y[~before])
-            told.append(caught.astype(np.float64))
-            first, then = (law(t, y, chosen) for law, chosen in zip(laws, (~caught, caught), strict=True))
-            return np.where(caught, then, first)
+            forces = np.zeros(n)
+            entries: dict[str, Array] = {}
+            for role, law, chosen in zip(("first", "then"), laws, (~caught, caught), strict=True):
+                np.copyto(forces, law(t, y, chosen), where=chosen)
+                for name, entry in law.entries().items():
+                    name = f"{role}.{name}" if name == "caught" else name
+                    np.copyto(entries.setdefault(name, np.full(n, np.nan)), entry, where=chosen)
+            for name in {*entries, *log} - {"caught"}:
+                gone = [np.full(n, np.nan)] * len(log["caught"])  # calls in which no law in charge had such an entry
+                log.setdefault(name, gone).append(entries.get(name, np.full(n, np.nan)))
+            log["caught"].append(caught.astype(np.float64))
+            return forces
 
-        act.log = {"caught": told}  # type: ignore[attr-defined]
-        return act
+        return holding(n, with_logs(act, log))
 
 
 class _Along:
-    """A batched law that answers in every row, whoever is in charge."""
+    """A batched law that answers in every row, whichever law is in charge."""
 
     def __init__(self, law: Controller, n: int, rng: np.random.Generator) -> None:
         self._act = law.start(n, rng)
 
     def __call__(self, t: float, y: Array, chosen: npt.NDArray[np.bool_]) -> Array:
         return self._act(t, y)
+
+    def entries(self) -> dict[str, Array]:
+        """Return what the law logged in the last call."""
+        return {name: entries[-1] for name, entries in log_of(self._act).items()}
 
 
 class _Afresh:
@@ -393,10 +410,14 @@ class _Afresh:
             u[row] = act(t - began, y[row : row + 1])[0]
         return u
 
+    def entries(self) -> dict[str, Array]:
+        """Return what the law logged in the last call, NaN in the rows where it is not running."""
+        found: dict[str, Array] = {}
+        for row, running in enumerate(self._running):
+            for name, entries in log_of(running[1]).items() if running else ():
+                found.setdefault(name, np.full(len(self._running), np.nan))[row] = np.ravel(entries[-1])[0]
+        return found
+
 
 def _nowhere(x: Array) -> npt.NDArray[np.bool_]:
     return np.zeros(len(x), dtype=np.bool_)
-
-
-def _name(law: Controller) -> str:
-    return str(getattr(law, "name", type(law).__name__))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from dpend import archive
 from dpend.params import Array
 from dpend.rig import Rig, ideal_rig, single_rig
 from dpend.state import as_equilibrium, as_states
@@ -87,13 +87,8 @@ class Trajectory:
         Path
             The file; ``.npz`` is added where the name has no suffix.
         """
-        path = Path(path)
-        if not path.suffix:
-            path = path.with_suffix(".npz")
-        text = json.dumps({"format": _FORMAT, "rig": self.rig.to_dict(), "about": dict(self.about)}, default=_plain)
-        with path.open("wb") as file:
-            np.savez_compressed(file, header=np.array(text), x=self.x, u=self.u, target=self.target)
-        return path
+        header = {"rig": self.rig.to_dict(), "about": dict(self.about)}
+        return archive.write(path, _FORMAT, header, {"x": self.x, "u": self.u, "target": self.target})
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
@@ -106,18 +101,5 @@ class Trajectory:
         ValueError
             If it is not a saved trajectory, or is damaged.
         """
-        try:
-            with Path(path).open("rb") as source, np.load(source, allow_pickle=False) as file:
-                header = json.loads(str(file["header"]))
-                if header["format"] != _FORMAT:
-                    raise ValueError("another format")
-                rig = Rig.from_dict(header["rig"])
-                return cls(rig=rig, x=file["x"], u=file["u"], target=file["target"], about=header["about"])
-        except OSError:
-            raise
-        except Exception as error:
-            raise ValueError(f"{path} is not a trajectory saved by Trajectory.save, or it is damaged.") from error
-
-
-def _plain(of_numpy: Any) -> Any:
-    return of_numpy.tolist()
+        with archive.opened(path, _FORMAT) as (header, arrays):
+            return cls(rig=Rig.from_dict(header["rig"]), about=header["about"], **arrays)

@@ -20,6 +20,7 @@ from .data import shipped
 from .lqr import LQR
 from .trajectory import Trajectory
 from .trajopt import optimize
+from .wrapping import holding, with_logs
 
 _REACH = 5  # samples by which a run may move on along the trajectory in one, and for which it may wait
 
@@ -188,8 +189,7 @@ class TVLQR:
             log["sample"].append(k.astype(np.float64))
             return forces[k] - np.einsum("ij,ij->i", K[k], deviation(y, along[k]))
 
-        act.log = log  # type: ignore[attr-defined]
-        return act
+        return holding(n, with_logs(act, log))
 
 
 def _check(rig: Rig, trajectory: Trajectory) -> None:

@@ -1,8 +1,9 @@
 """dpend: the inverted double pendulum on a cart, for classical control and reinforcement learning side by side.
 
 The state is ``x = (pos, th1, th2, vel, om1, om2)`` in metres, radians and seconds; angles are absolute, zero is up, and
-positive leans towards positive positions.  Importing ``dpend`` registers ``dpend/Balance-v0`` and ``dpend/SwingUp-v0``
-with Gymnasium and loads nothing heavier than numpy and Gymnasium.
+positive leans towards positive positions.  Importing ``dpend`` registers ``dpend/Balance-v0``, ``dpend/SwingUp-v0``
+and, as the shipped deep policies saw them, ``dpend/BalanceShaped-v0`` and ``dpend/SwingUpShaped-v0`` with Gymnasium; it
+loads nothing heavier than numpy and Gymnasium.
 """
 
 import gymnasium
@@ -50,9 +51,12 @@ __all__ = [
     "wrap",
 ]
 
-gymnasium.register(
-    "dpend/Balance-v0", entry_point="dpend.env:balance", vector_entry_point="dpend.vector_env:balance_vector"
-)
-gymnasium.register(
-    "dpend/SwingUp-v0", entry_point="dpend.env:swing_up", vector_entry_point="dpend.vector_env:swing_up_vector"
-)
+for _id, _name in (
+    ("Balance", "balance"),
+    ("SwingUp", "swing_up"),
+    ("BalanceShaped", "balance_shaped"),
+    ("SwingUpShaped", "swing_up_shaped"),
+):
+    gymnasium.register(
+        f"dpend/{_id}-v0", entry_point=f"dpend.env:{_name}", vector_entry_point=f"dpend.vector_env:{_name}_vector"
+    )

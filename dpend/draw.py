@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import importlib
+import io
 import math
 import shutil
 import subprocess
+import sys
 import textwrap
-from collections.abc import Iterable, Iterator
+import warnings
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -25,12 +29,34 @@ from PIL import Image
 
 from .arguments import is_finite
 from .params import Array
-from .plant import positions
+from .plant import PUSHES, positions
 from .rig import Rig, single_rig
-from .run import Run
 from .state import as_states
 
 Pixels = npt.NDArray[np.uint8]
+
+
+class _Motion(Protocol):
+    """What is drawn of a run; :class:`dpend.Run` says what each is."""
+
+    @property
+    def t(self) -> Array: ...
+    @property
+    def x(self) -> Array: ...
+    @property
+    def u(self) -> Array: ...
+    @property
+    def rig(self) -> Rig: ...
+    @property
+    def log(self) -> Mapping[str, Array]: ...
+    @property
+    def title(self) -> str: ...
+
+
+if sys.platform == "win32":  # a path's class cannot be subclassed as `Path` before Python 3.12
+    from pathlib import WindowsPath as _Path
+else:
+    from pathlib import PosixPath as _Path
 
 # Okabe and Ito's palette: told apart by colour-blind eyes, and of different lightness.
 BLUE, VERMILLION, GREEN, DARK, GREY = "#0072B2", "#D55E00", "#009E73", "#333333", "#8C8C8C"
@@ -223,7 +249,7 @@ def _inches(width: int, height: int) -> tuple[float, float]:
 
 
 def _open_window(pixels: Pixels) -> tuple[Figure, Any]:
-    """Open a window on an image of that size; give its figure and the image."""
+    """Return the figure and the image of a window opened on pixels."""
     from matplotlib import pyplot
 
     height, width, _ = pixels.shape
@@ -241,8 +267,49 @@ def _open_window(pixels: Pixels) -> tuple[Figure, Any]:
     return figure, image
 
 
-def plot_run(run: Run) -> Figure:
-    """Draw a run against time: position, angles, their rates, and the force as it was held.
+class Plot(Figure):
+    """A figure that notebooks show, and that :meth:`show` opens in a window; it belongs to the caller alone."""
+
+    def _repr_png_(self) -> bytes:
+        file = io.BytesIO()
+        self.savefig(file, format="png")
+        return file.getvalue()
+
+    def show(self, warn: bool = True) -> None:
+        """Show the figure: in the notebook, or in a window until that is closed.
+
+        Parameters
+        ----------
+        warn : bool
+            Whether to warn where there is neither.
+        """
+        ipython = sys.modules.get("IPython")
+        if ipython is not None and hasattr(ipython.get_ipython(), "kernel"):
+            importlib.import_module("IPython.display").display(self)
+            return
+        pixels = np.asarray(Image.open(io.BytesIO(self._repr_png_())).convert("RGB"))
+        try:
+            _open_window(pixels)
+        except RuntimeError:
+            if warn:
+                warnings.warn("There is no window to show the figure in; figure.savefig(path) writes it.", stacklevel=2)
+            return
+        from matplotlib import pyplot
+
+        pyplot.show()
+
+
+class Film(_Path):
+    """The path of a film, which notebooks play."""
+
+    def _repr_html_(self) -> str:
+        kind = "video/mp4" if self.suffix.lower() == ".mp4" else "image/gif"
+        source = f"data:{kind};base64,{base64.b64encode(self.read_bytes()).decode()}"
+        return f'<video controls loop src="{source}"></video>' if kind == "video/mp4" else f'<img src="{source}">'
+
+
+def plot_run(run: _Motion) -> Plot:
+    """Return a run drawn against time: position, angles, their rates, the force as it was held, and pushes if any.
 
     The ends of the track and the limit of the force are drawn where the signal comes near them, and named either way.
 
@@ -253,14 +320,15 @@ def plot_run(run: Run) -> Figure:
 
     Returns
     -------
-    matplotlib.figure.Figure
-        16 cm wide; it belongs to the caller alone, and ``figure.savefig(path)`` writes it.
+    Plot
+        A matplotlib figure, 16 cm wide; ``figure.savefig(path)`` writes it, ``figure.show()`` and notebooks show it.
     """
-    figure = Figure(figsize=(6.3, 7.6), layout="constrained")
-    panels = cast("list[Axes]", list(figure.subplots(5, 1, sharex=True)))
-    labels = ("position [m]", "angles [rad]", "velocity [m/s]", "rates [rad/s]", "force [N]")
+    pushes = {label: run.log[name] for name, label in PUSHES.items() if np.any(np.nan_to_num(run.log.get(name, 0.0)))}
+    figure = Plot(figsize=(6.3, 9.0 if pushes else 7.6), layout="constrained")
+    panels = cast("list[Axes]", list(figure.subplots(6 if pushes else 5, 1, sharex=True)))
+    labels = ("position [m]", "angles [rad]", "velocity [m/s]", "rates [rad/s]", "force [N]", "pushes")
     dot = "o" if len(run.t) == 1 else ""  # a line through one point cannot be seen
-    for axes, label, columns in zip(panels, labels, ((0,), (1, 2), (3,), (4, 5), ()), strict=True):
+    for axes, label, columns in zip(panels, labels, ((0,), (1, 2), (3,), (4, 5), (), ()), strict=False):
         styles = [(DARK, "-", "cart")] if len(columns) == 1 else [(BLUE, "-", "link 1"), (VERMILLION, "--", "link 2")]
         for column, (color, style, name) in zip(columns, styles, strict=False):
             axes.plot(run.t, run.x[:, column], style, color=color, label=name, lw=1.4, marker=dot)
@@ -271,6 +339,8 @@ def plot_run(run: Run) -> Figure:
         axes.spines[["top", "right"]].set_visible(False)
     if len(run.u):
         panels[4].stairs(run.u, run.t, baseline=None, color=GREEN, lw=1.4, zorder=3, label="applied")
+    for (label, push), color, style in zip(pushes.items(), (DARK, BLUE, VERMILLION), ("-", "-", "--"), strict=False):
+        panels[5].stairs(push, run.t, baseline=None, color=color, ls=style, lw=1.4, label=label)
     _draw_limit(panels[0], run.x[:, 0], float(run.rig.track_limit), "track end ±{:g} m")
     _draw_limit(panels[4], run.u, float(run.rig.force_limit), "limit ±{:g} N")
     for axes in panels:
@@ -278,7 +348,7 @@ def plot_run(run: Run) -> Figure:
             axes.legend(loc="lower right", bbox_to_anchor=(1, 0.97), ncols=2, frameon=False, fontsize="small")
     figure.align_ylabels(panels)
     panels[-1].set_xlabel("time [s]")
-    figure.suptitle("\n".join([*textwrap.wrap(run.controller, 60), run.status.value]), fontsize="medium")
+    figure.suptitle("\n".join(textwrap.fill(line, 60) for line in run.title.splitlines()), fontsize="medium")
     return figure
 
 
@@ -334,8 +404,8 @@ def draw_strobe(axes: Axes, x: npt.ArrayLike, rig: Rig, *, pictures: int = 16) -
     axes.set(aspect="equal", ylim=(-1.1 * reach, 1.1 * reach))
 
 
-def animate_run(run: Run, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Path:
-    """Write a film of a run, with time and force above the picture.
+def animate_run(run: _Motion, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Film:
+    """Return the path of a film of a run, with time and force above the picture, written there.
 
     Parameters
     ----------
@@ -351,8 +421,8 @@ def animate_run(run: Run, path: str | Path, *, fps: float = 25, speed: float = 1
 
     Returns
     -------
-    Path
-        The file; it appears under its name only when it is complete.
+    Film
+        The path; the file appears under its name only when it is complete, and notebooks play it.
 
     Raises
     ------
@@ -392,10 +462,10 @@ def animate_run(run: Run, path: str | Path, *, fps: float = 25, speed: float = 1
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
-    return path
+    return Film(path)
 
 
-def _frames(run: Run, picture: Picture, step: float) -> Iterator[Pixels]:
+def _frames(run: _Motion, picture: Picture, step: float) -> Iterator[Pixels]:
     """Draw the run every ``step`` seconds, and at its end: each time the last sample that was not in the future."""
     duration = run.t[-1] - run.t[0]
     times = run.t[0] + np.minimum(step * np.arange(math.ceil(duration / step - 1e-6) + 1), duration)

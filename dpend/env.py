@@ -1,7 +1,6 @@
-"""The Gymnasium environments ``dpend/Balance-v0`` and ``dpend/SwingUp-v0``: one rig, one agent, one episode at a time.
+"""The Gymnasium environments ``dpend/Balance-v0``, ``dpend/SwingUp-v0`` and their shaped kin: one rig, one episode.
 
-What single and vector environments share is stated here: the spaces, what an action means, what is observed, and when
-an episode counts as a success.
+What single and vector environments share is stated here: the spaces, what an action means, what is observed.
 """
 
 from __future__ import annotations
@@ -9,17 +8,22 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 
+from .episode import UprightClock
 from .params import Array
-from .rig import Rig, as_rig
+from .rewards import Reward, reward_of
+from .rig import Rig, as_rig, single_rig
+from .shaping import observation_scales, observe, shaped_balance, shaped_swing_up
 from .state import as_states
 from .status import Status
 from .stepper import Stepper
@@ -28,19 +32,16 @@ from .tasks import Balance, SwingUp, Task, checked_task
 
 _MESSAGES = tuple(status.value for status in Status)
 
-# As good as none: no state goes so far and stays a number.  Infinite bounds would say the same, but Gymnasium's
-# checker warns of them.
-_FAR = float(np.finfo(np.float32).max)
-_OWN_KEYWORDS = ("rig", "forces", "observation", "render_mode")
+_OWN_KEYWORDS = ("rig", "reward", "forces", "observation", "render_mode")
 
 
 class CartDoublePendulumEnv(gym.Env[Array, Any]):
     """A cart with two links, one sample a step, over :class:`dpend.Stepper`.
 
-    The observation is what the rig's sensors measure.  The reward is minus the task's cost of the true state after the
-    step; the episode is terminated when the task says that it failed, and truncated, by the environment itself, when it
-    has the task's length.  ``info`` holds the true ``"state"`` (6,) and the applied ``"force"`` in N, and in the last
-    step of an episode the ``"status"``, a sentence that says how it ended, and the ``"success"``, a bool.
+    The observation is what the rig's sensors measure.  The reward is of the true states; the episode is terminated when
+    the task says that it failed, and truncated, by the environment itself, when it has the task's length, which is
+    ``spec.max_episode_steps`` too.  ``info`` holds the true ``"state"`` (6,) and the applied ``"force"`` in N, and in
+    the last step of an episode the ``"status"``, a sentence that says how it ended, and the ``"success"``, a bool.
 
     ``reset(seed=s)`` restarts all random numbers, the noise of :func:`dpend.simulate` with ``seed=s`` included; without
     a seed they go on.  ``reset(options={"x0": x0})`` starts at a state (6,).
@@ -51,11 +52,16 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
         Where episodes start, what they cost, when they end.
     rig : Rig or str
         The rig, or the name of a preset.
+    reward : {"default", "report", "shaped"} or callable
+        What a step is paid: see :mod:`dpend.rewards`, also for why ``"report"`` is a trap.  A function takes states
+        before ``(1, 6)``, applied forces ``(1,)``, states after ``(1, 6)`` and their status codes ``(1,)``, and returns
+        rewards ``(1,)``; with as many rows as copies it serves the vector environment too.
     forces : array_like (k,), optional
         Forces in N to choose from; an action is then the index of one.  Left out, an action is an array (1,): the share
         of the force limit, within [-1, 1]; what lies beyond is cut off by the actuator.
-    observation : {"raw", "trig"}
-        The measured state (pos, th1, th2, vel, om1, om2), or (pos, sin th1, cos th1, sin th2, cos th2, vel, om1, om2).
+    observation : {"raw", "trig", "scaled"}
+        The measured state (pos, th1, th2, vel, om1, om2); or (pos, sin th1, cos th1, sin th2, cos th2, vel, om1, om2);
+        or the latter in units of the rig, :func:`dpend.shaping.observe`.
     render_mode : {"human", "rgb_array"}, optional
         A window that follows the episode, or pictures ``(H, W, 3)`` from :meth:`render`.
 
@@ -66,12 +72,14 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
     """
 
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 50}  # noqa: RUF012
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
         task: Task,
         rig: Rig | str,
         *,
+        reward: str | Reward = "default",
         forces: npt.ArrayLike | None = None,
         observation: str = "raw",
         render_mode: str | None = None,
@@ -86,18 +94,30 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
         self._forces = checked_forces(forces, self.rig)
         self.action_space = action_space(self._forces)
         self.observation_space = observation_space(observation)
-        self._trig = observation == "trig"
+        self._observe = observer(observation, self.rig)
+        self._reward = reward_of(reward, self.task, self.rig)
         check_render_mode(render_mode, self.metadata["render_modes"])
         self.render_mode = render_mode
         self.metadata = self.metadata | {"render_fps": frames_per_second(self.rig)}
         self._force_limit = float(self.rig.force_limit)
         self._length = math.inf if self.task.steps is None else self.task.steps
-        self._watch_upright = self.task.hold > 0
+        self._upright = UprightClock(self.task, self.rig, 1)
         self._stepper: Stepper | None = None
         self._picture: Any = None
         self._steps = 0
-        self._held = 0
         self._over: str | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """What Gymnasium knows of the environment, its greatest length included."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        self._spec = with_length(spec, self.task)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_picture": None}  # a copy opens a window of its own
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begin an episode.
@@ -129,11 +149,11 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
             self._stepper = Stepper(self.rig, 1, noise_seed(self))
         y = self._stepper.reset(self.task.starts(self.np_random, 1, self.rig) if x0 is None else x0)
         self._steps = 0
-        self._held = 0 if not self._watch_upright or self.task.upright(self._stepper.x)[0] else -1
+        self._upright.begin(self._stepper.x)
         self._over = None
         if self.render_mode == "human":
             self.render()
-        return with_sines(y)[0] if self._trig else y[0], {"state": self._stepper.x.flatten(), "force": 0.0}
+        return self._observe(y)[0], {"state": self._stepper.x.flatten(), "force": 0.0}
 
     def step(self, action: Any) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Hold a force for one sample.
@@ -160,23 +180,23 @@ class CartDoublePendulumEnv(gym.Env[Array, Any]):
             raise ResetNeeded("There is no episode yet: call reset() before step().")
         if self._over is not None:
             raise ResetNeeded(f"The episode is over: {self._over} Call reset() before the next step().")
+        before = stepper.x.copy()
         y = stepper.step([self._force(action)])
         x = stepper.x
         codes = self.task.ended(x, self.rig)
-        reward = -self.task.cost(x, codes).item()
+        reward = float(checked_rewards(self._reward(before, stepper.force, x, codes), 1)[0])
         terminated = codes.item() != 0
         self._steps += 1
         truncated = self._steps >= self._length
-        if self._watch_upright:
-            self._held = self._held + 1 if self.task.upright(x)[0] else -1
+        self._upright.tick(x)
         info: dict[str, Any] = {"state": x.flatten(), "force": stepper.force.item()}
         if terminated or truncated:
             self._over = _MESSAGES[codes[0]]
             info["status"] = self._over
-            info["success"] = bool(not terminated and held_long_enough(self._held, self.task, self.rig))
+            info["success"] = bool(self._upright.success(codes)[0])
         if self.render_mode == "human" and np.isfinite(x).all():
             self.render()
-        return with_sines(y)[0] if self._trig else y[0], reward, terminated, truncated, info
+        return self._observe(y)[0], reward, terminated, truncated, info
 
     def _force(self, action: Any) -> float:
         """Return the force in N that an action asks for."""
@@ -237,6 +257,7 @@ def _maker(kind: type[Balance] | type[SwingUp]) -> Callable[..., CartDoublePendu
     def make(
         rig: Rig | str = "gustafsson2016",
         *,
+        reward: str | Reward = "default",
         forces: npt.ArrayLike | None = None,
         observation: str = "raw",
         render_mode: str | None = None,
@@ -249,10 +270,29 @@ def _maker(kind: type[Balance] | type[SwingUp]) -> Callable[..., CartDoublePendu
         TypeError
             If a parameter is unknown; the message suggests the nearest.
         ValueError
-            If a value is out of its range.
+            If a value is out of its range, or weights of the report's cost are set and another reward is paid.
         """
-        chosen = task_from(kind, task, _OWN_KEYWORDS)
-        return CartDoublePendulumEnv(chosen, rig, forces=forces, observation=observation, render_mode=render_mode)
+        chosen = task_from(kind, task, _OWN_KEYWORDS, reward)
+        return CartDoublePendulumEnv(
+            chosen, rig, reward=reward, forces=forces, observation=observation, render_mode=render_mode
+        )
+
+    return make
+
+
+def _shaped_maker(setup: Callable[[Rig], tuple[Task, Rig]]) -> Callable[..., CartDoublePendulumEnv]:
+    """Return the entry point that makes environments as the shipped deep policies saw them."""
+
+    def make(rig: Rig | str = "gustafsson2016", *, render_mode: str | None = None) -> CartDoublePendulumEnv:
+        """Make the environment.
+
+        Raises
+        ------
+        ValueError
+            If the rig describes several plants or has no force limit.
+        """
+        task, slow = setup(single_rig(rig, "A shaped environment"))
+        return CartDoublePendulumEnv(task, slow, reward="shaped", observation="scaled", render_mode=render_mode)
 
     return make
 
@@ -263,9 +303,18 @@ balance = _maker(Balance)
 swing_up = _maker(SwingUp)
 """Make ``dpend/SwingUp-v0``: bring both links up and keep them there."""
 
+balance_shaped = _shaped_maker(shaped_balance)
+"""Make ``dpend/BalanceShaped-v0``: balancing as the shipped deep policies learned it."""
+
+swing_up_shaped = _shaped_maker(shaped_swing_up)
+"""Make ``dpend/SwingUpShaped-v0``: the swing-up as the shipped deep policies learned it."""
+
 
 def task_from(
-    kind: type[Balance] | type[SwingUp], parameters: Mapping[str, Any], others: tuple[str, ...]
+    kind: type[Balance] | type[SwingUp],
+    parameters: Mapping[str, Any],
+    others: tuple[str, ...],
+    reward: str | Reward,
 ) -> Balance | SwingUp:
     """Build a task from keywords.
 
@@ -277,11 +326,15 @@ def task_from(
         Its parameters by name.
     others : tuple of str
         What else the caller takes, to be suggested where it is near.
+    reward : str or callable
+        Which reward is paid.
 
     Raises
     ------
     TypeError
         If the task has no parameter of that name; the message suggests the nearest.
+    ValueError
+        If it is a weight of the report's cost, and another reward is paid.
     """
     known = {field.name for field in fields(kind)}
     for name in parameters:
@@ -289,6 +342,8 @@ def task_from(
             raise TypeError(
                 f"A {kind.__name__} environment has no parameter {name!r}.{suggestion(name, known | set(others))}"
             )
+        if name in ("state_weights", "failure_cost") and reward != "report":
+            raise ValueError(f'{name} is of the report\'s cost and does nothing here; add reward="report".')
     return kind(**parameters)
 
 
@@ -336,12 +391,54 @@ def observation_space(observation: str) -> spaces.Space[Array]:
         If there is no such kind of observation.
     """
     if observation == "raw":
-        high = np.full(6, _FAR)
-    elif observation == "trig":
-        high = np.array([_FAR, 1.0, 1.0, 1.0, 1.0, _FAR, _FAR, _FAR])
+        high = np.full(6, np.inf)
+    elif observation in ("trig", "scaled"):
+        high = np.array([np.inf, 1.0, 1.0, 1.0, 1.0, np.inf, np.inf, np.inf])
     else:
-        raise ValueError(f'observation must be "raw" or "trig"; got {observation!r}.')
+        raise ValueError(f'observation must be "raw", "trig" or "scaled"; got {observation!r}.')
     return spaces.Box(-high, high, dtype=np.float64)  # type: ignore[return-value]  # Box does not know its own dtype
+
+
+def observer(observation: str, rig: Rig) -> Callable[[Array], Array]:
+    """Return the function from measured states ``(n, 6)`` to observations.
+
+    Raises
+    ------
+    ValueError
+        If scaled observations are asked for on several rigs.
+    """
+    if observation == "trig":
+        return with_sines
+    if observation == "scaled":
+        scales = observation_scales(single_rig(rig, 'observation="scaled"'))
+        return partial(observe, scales=scales)
+    return _as_measured
+
+
+def _as_measured(y: Array) -> Array:
+    return y
+
+
+def checked_rewards(rewards: npt.ArrayLike, n: int) -> Array:
+    """Return rewards as an array ``(n,)``.
+
+    Raises
+    ------
+    ValueError
+        If a user's function returned something else.
+    """
+    try:
+        array = np.asarray(rewards, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (n,):
+        raise ValueError(f"A reward function returns one number per row, shape ({n},); got {rewards!r}.")
+    return array
+
+
+def with_length(spec: EnvSpec | None, task: Task) -> EnvSpec | None:
+    """Return a specification that says how long an episode lasts at most."""
+    return spec and replace(spec, max_episode_steps=task.steps)
 
 
 def with_sines(y: Array) -> Array:
@@ -405,8 +502,3 @@ def noise_seed(env: gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]) -> 
     if not isinstance(seed, int) or seed < 0:  # Gymnasium's sign of a generator whose seed it does not know
         return int(env.np_random.integers(2**63))
     return seed
-
-
-def held_long_enough(held: Any, task: Task, rig: Rig) -> Any:
-    """Return whether so many samples since the links were last not upright, -1 where they are not, make a success."""
-    return held * rig.sample_time >= task.hold - 1e-9

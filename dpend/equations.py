@@ -43,11 +43,11 @@ def make_rates(sin, cos):
         c12 = c1 * c2 + s1 * s2
 
         # Forces and torques on the right-hand side: what is applied, centrifugal, gravity, friction.
-        cart_rub = c.b0 * vel + c.coulomb * vel / (vel * vel + c.coulomb_speed * c.coulomb_speed) ** 0.5
-        joint_rub = c.b2 * (om2 - om1)
-        r0 = f[0] + c.d2 * s1 * om1 * om1 + c.d3 * s2 * om2 * om2 - cart_rub
-        r1 = f[1] + c.f1 * s1 - c.d5 * s12 * om2 * om2 - c.b1 * om1 + joint_rub
-        r2 = f[2] + c.f2 * s2 + c.d5 * s12 * om1 * om1 - joint_rub
+        cart_friction = c.b0 * vel + c.coulomb * vel / (vel * vel + c.coulomb_speed * c.coulomb_speed) ** 0.5
+        joint_friction = c.b2 * (om2 - om1)
+        r0 = f[0] + c.d2 * s1 * om1 * om1 + c.d3 * s2 * om2 * om2 - cart_friction
+        r1 = f[1] + c.f1 * s1 - c.d5 * s12 * om2 * om2 - c.b1 * om1 + joint_friction
+        r2 = f[2] + c.f2 * s2 + c.d5 * s12 * om1 * om1 - joint_friction
 
         # Block elimination of D = [[d1, d2 c1, d3 c2], [., d4, d5 c12], [., ., d6]].
         # Reciprocals, because division takes several times as long as multiplication.
@@ -122,7 +122,7 @@ def make_acceleration_slopes(sin, cos):
         # dr/dz, for the three rates
         speed = c.coulomb_speed * c.coulomb_speed
         root = (vel * vel + speed) ** 0.5
-        rub = -c.b0 - c.coulomb * speed / (root * root * root)
+        friction = -c.b0 - c.coulomb * speed / (root * root * root)
         r0 = 2.0 * c.d2 * s1 * om1
         r1 = -c.b1 - c.b2
         r2 = 2.0 * c.d5 * s12 * om1 + c.b2
@@ -132,7 +132,7 @@ def make_acceleration_slopes(sin, cos):
         return (
             (i00 * p0 + i01 * p1 + i02 * p2, i01 * p0 + i11 * p1 + i12 * p2, i02 * p0 + i12 * p1 + i22 * p2),
             (i00 * q0 + i01 * q1 + i02 * q2, i01 * q0 + i11 * q1 + i12 * q2, i02 * q0 + i12 * q1 + i22 * q2),
-            (i00 * rub, i01 * rub, i02 * rub),
+            (i00 * friction, i01 * friction, i02 * friction),
             (i00 * r0 + i01 * r1 + i02 * r2, i01 * r0 + i11 * r1 + i12 * r2, i02 * r0 + i12 * r1 + i22 * r2),
             (i00 * t0 + i01 * t1 + i02 * t2, i01 * t0 + i11 * t1 + i12 * t2, i02 * t0 + i12 * t1 + i22 * t2),
             (i00, i01, i02),

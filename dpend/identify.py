@@ -56,6 +56,8 @@ _DEPENDENT = 1e-6  # singular values below this share of the largest are zero bu
 _GROWTH = 1e3  # a state's error may grow so much within a segment before it is no longer small
 _MISFIT = 0.5  # an autocorrelation of the residuals at which the model is said to lack something
 _ROUNDING = 1e-8  # what is left below this, in m or rad, is the arithmetic's
+_FAR_BETTER = 0.25  # a share of the squares left at which another sign is the right one
+_HELD = 1e6  # times its mass, a cart does not move
 _UNKNOWN = 1.0  # a standard error, as a share of the value, at which a parameter counts as not seen
 
 
@@ -112,8 +114,9 @@ def identify(
     *,
     segment: float = 0.5,
     outputs: Sequence[str] = OUTPUTS,
+    clamped: bool = False,
 ) -> Identified:
-    r"""Find the parameters :math:`\hat p = \arg\min\sum\|\Sigma^{-1/2}(h(p, x_i) - y_i)\|^2` behind recorded runs.
+    r"""Return the parameters :math:`\hat p = \arg\min\sum\|\Sigma^{-1/2}(h(p, x_i) - y_i)\|^2` behind recorded runs.
 
     The simulated outputs come from the plant that simulations run on, under the recorded (applied) forces.  Parameters
     that are greater than zero by nature are fitted as logarithms.  Where the runs' rig has a sensor delay, measurements
@@ -133,6 +136,8 @@ def identify(
     outputs : sequence of str
         What was measured with independent noise, of ``dpend.NAMES``; rates that were derived from positions do not
         belong here.
+    clamped : bool
+        Whether the cart was held fast, so that only the links say something; its position is then no output.
 
     Returns
     -------
@@ -146,7 +151,7 @@ def identify(
     ValueError
         If there is no such parameter or output, the runs hold no states, have different sample times, are shorter than
         a segment or run away within one; or if the data cannot tell the parameters, which the message names, with the
-        remedy.
+        remedy.  Where the motion fits far better with another sign of the force or of a coordinate, it names that.
     RuntimeError
         If the search does not converge.
 
@@ -164,46 +169,30 @@ def identify(
     Sources: L. Ljung, *System Identification*, 1999, chapter 7; G. Golub and V. Pereyra, *Separable nonlinear least
     squares*, 2003; H. Bock, *Recent advances in parameter identification techniques for O.D.E.*, 1983.
     """
-    from scipy.optimize import least_squares  # kept out of `import dpend`
-    from scipy.stats import t as student
+    from scipy.stats import t as student  # kept out of `import dpend`
 
     rig = start if isinstance(start, Rig) else None
     params = start.params if isinstance(start, Rig) else start
     if not isinstance(params, Params):
         raise TypeError(f"start must be dpend.Params or a dpend.Rig; got {type(start).__name__}.")
+    plant = params
     names = _checked_names(fit, params)
     seen = _checked_outputs(outputs)
+    if clamped:  # a cart so heavy that no link moves it
+        seen = tuple(name for name in seen if name not in ("pos", "vel"))
+        params = replace(params, cart_mass=_HELD * float(params.cart_mass))
     data = _Segments.cut(runs, segment, seen, None if rig is None else rig.substeps)
+    if not clamped and not np.ptp(data.x0[:, 0]) and not data.y[..., [p == 0 for p in data.places]].any():
+        raise ValueError("The cart never moves; if it was held fast, give clamped=True.")
     problem = _Problem(data, params, names)
-
-    z = problem.start
-    weights = np.ones(len(seen))
-    _require_rank(problem.reduced(z, weights)[1], names, data)
-    found: Any = None
-    for _ in range(3):  # the outputs' noises settle in two rounds; the third is the solution
-        found = least_squares(
-            lambda z, w=weights: problem.reduced(z, w)[0],
-            z,
-            jac=lambda z, w=weights: problem.reduced(z, w)[1],  # pyright: ignore[reportArgumentType]
-            bounds=problem.bounds,
-            x_scale="jac",
-            xtol=1e-9,
-            ftol=1e-10,
-            gtol=1e-10,
-            max_nfev=100,
-        )
-        if found.status == 0:
-            raise RuntimeError(
-                "The search did not converge within 100 steps: start nearer, fit fewer parameters at first, or shorten "
-                "the segments."
-            )
-        z = found.x
-        weights = 1 / problem.noise(z, weights)
-    _, jacobian = problem.reduced(z, weights)
-    _require_rank(jacobian, names, data)
-    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    try:
+        z, weights, covariance = _fitted(problem)
+    except (ValueError, RuntimeError) as refusal:
+        sign = _better_sign(problem)
+        if not sign:
+            raise
+        raise ValueError(f"The motion stays unexplained: {sign} As it is: {refusal}") from refusal
     errors = np.sqrt(np.diag(covariance))
-    _require_sight(errors, names, data)
 
     residuals = problem.residuals(z, weights)
     freedom = residuals.size - 6 * data.count - len(names)
@@ -214,14 +203,15 @@ def identify(
     repeated = {name: _autocorrelation(residuals[:, :, i]) for i, name in enumerate(seen)}
     lacking = [n for n, std in zip(seen, left, strict=True) if repeated[n] > _MISFIT and std > _ROUNDING]
     if lacking:
+        sign = _better_sign(problem)
         warnings.warn(
             f"What the model leaves of {_listed(lacking)} is no noise (autocorrelation "
             f"{max(repeated.values()):.2f}): something is missing from fit or wrong in start, or a delay or a unit is. "
-            "The intervals are too narrow.",
+            f"{sign[:1].upper()}{sign[1:]}{' ' if sign else ''}The intervals are too narrow.",
             stacklevel=2,
         )
     return Identified(
-        params=replace(params, **values),
+        params=replace(plant, **values),
         values=values,
         errors=std,
         intervals={name: (low[name], high[name]) for name in names},
@@ -434,6 +424,75 @@ class _Problem:
         ahead = (4 * first - 3 * here - second) / (2 * step[:, None, None])
         slopes = np.where(self.logarithm[:, None, None], central, ahead)
         return (np.tile(weights, self.data.y.shape[1]) * slopes).transpose(1, 2, 0)
+
+
+def _search(problem: _Problem, z: Array, weights: Array, most: int) -> Any:
+    from scipy.optimize import least_squares  # kept out of `import dpend`
+
+    return least_squares(
+        lambda z: problem.reduced(z, weights)[0],
+        z,
+        jac=lambda z: problem.reduced(z, weights)[1],  # pyright: ignore[reportArgumentType]
+        bounds=problem.bounds,
+        x_scale="jac",
+        xtol=1e-9,
+        ftol=1e-10,
+        gtol=1e-10,
+        max_nfev=most,
+    )
+
+
+def _fitted(problem: _Problem) -> tuple[Array, Array, Array]:
+    """Return the solution, the outputs' weights there, and the covariance; refuse what the data cannot tell."""
+    names, data, z = problem.names, problem.data, problem.start
+    weights = np.ones(len(data.places))
+    _require_rank(problem.reduced(z, weights)[1], names, data)
+    for _ in range(3):  # the outputs' noises settle in two rounds; the third is the solution
+        found = _search(problem, z, weights, 100)
+        if found.status == 0:
+            raise RuntimeError(
+                "The search did not converge within 100 steps: start nearer, fit fewer parameters at first, or shorten "
+                "the segments."
+            )
+        z = found.x
+        weights = 1 / problem.noise(z, weights)
+    _, jacobian = problem.reduced(z, weights)
+    _require_rank(jacobian, names, data)
+    covariance: Array = np.asarray(np.linalg.inv(jacobian.T @ jacobian), dtype=np.float64)
+    _require_sight(np.sqrt(np.diag(covariance)), names, data)
+    return z, weights, covariance
+
+
+# what may have been read with the wrong sign; the mirror image of each choice is as good
+_SIGNS = ({"u"}, {"pos"}, {"th1"}, {"th2"}, {"u", "pos"}, {"u", "th1"}, {"u", "th2"})
+_SIGN_OF = {"u": "force_unit", "pos": "position_unit", "th1": "angle_unit", "th2": "angle_unit"}
+
+
+def _better_sign(problem: _Problem) -> str:
+    """Return which signs, turned round, explain the motion far better; nothing where none do."""
+    data = problem.data
+    weights = 1 / np.maximum(data.y.std(axis=(0, 1)), 1e-9)
+
+    def left(turned: set[str]) -> float:
+        sign = np.array([-1.0 if name in turned else 1.0 for name in 2 * OUTPUTS])
+        force = -data.u if "u" in turned else data.u
+        other = replace(data, u=force, y=data.y * sign[data.places], x0=data.x0 * sign)
+        try:
+            tried = _Problem(other, problem.params, problem.names)
+            return float(_search(tried, tried.start, weights, 10).cost)
+        except (ValueError, np.linalg.LinAlgError):
+            return math.inf
+
+    costs = [left(turned) for turned in _SIGNS]
+    best = min(costs)
+    if not best < _FAR_BETTER * left(set()):
+        return ""
+    turned = sorted(next(each for each, cost in zip(_SIGNS, costs, strict=True) if cost <= 1.05 * best))
+    arguments = sorted({_SIGN_OF[name] for name in turned})
+    return (
+        f"with the sign of {_listed(turned)} turned round the model fits far better; look at the sign of "
+        f"{_listed(arguments)} in Run.from_csv."
+    )
 
 
 # ----------------------------------------------------------------------------------------------- what can be identified

@@ -17,10 +17,9 @@ import numba
 import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from . import equations, state
+from . import episode, equations, state
 from .params import Coefficients
 from .provenance import fingerprint
-from .status import Status
 
 _OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}
 
@@ -37,7 +36,9 @@ def compiled(function: Callable[..., Any]) -> Any:
     """
     here = Path(__file__).parent
     package = Path(function.__code__.co_filename).parent
-    sources = [here / name for name in ("equations.py", "params.py", "state.py", "status.py", "kernels.py")]
+    sources = [
+        here / name for name in ("equations.py", "episode.py", "params.py", "state.py", "status.py", "kernels.py")
+    ]
     if package != here:
         sources.append(package)
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
@@ -62,11 +63,11 @@ _COS = tuple((-1) ** k / math.factorial(2 * k) for k in range(11))
 
 @inline
 def _reduced(angle):
-    """Return the difference to the nearest half turn, and the sign that so many half turns put on sine and cosine."""
+    """Return the difference to the nearest half turn, and the sign that so many half turns give sine and cosine."""
     half_turns = np.rint(angle * (1.0 / math.pi))
-    rest = ((angle - half_turns * _PI_HIGH) - half_turns * _PI_MIDDLE) - half_turns * _PI_LOW
+    remainder = ((angle - half_turns * _PI_HIGH) - half_turns * _PI_MIDDLE) - half_turns * _PI_LOW
     turns = 0.5 * half_turns
-    return rest, 1.0 - 4.0 * abs(turns - np.rint(turns))
+    return remainder, 1.0 - 4.0 * abs(turns - np.rint(turns))
 
 
 @inline
@@ -136,7 +137,7 @@ def _state_at(block, j):
 
 
 @inline
-def _put_state(block, j, x):
+def _set_state(block, j, x):
     block[j] = x[0]
     block[_BLOCK + j] = x[1]
     block[2 * _BLOCK + j] = x[2]
@@ -181,7 +182,7 @@ def plant_step(x, f, coefficients, h, substeps):
         if shared:
             for _ in range(substeps):
                 for j in range(m):
-                    _put_state(block, j, rk4(_state_at(block, j), _forces_at(block, j), c, h))
+                    _set_state(block, j, rk4(_state_at(block, j), _forces_at(block, j), c, h))
         else:
             for j in range(m):
                 for k in range(_FIELDS):
@@ -205,54 +206,55 @@ def plant_step(x, f, coefficients, h, substeps):
                         block[22 * _BLOCK + j],
                         block[23 * _BLOCK + j],
                     )
-                    _put_state(block, j, rk4(_state_at(block, j), _forces_at(block, j), own, h))
+                    _set_state(block, j, rk4(_state_at(block, j), _forces_at(block, j), own, h))
         for j in range(m):
             for k in range(6):
                 x[start + j, k] = block[k * _BLOCK + j]
 
 
 wrap_angle = inline(state.wrap_angle)
-_TRACK_END, _LINK1_FELL, _LINK2_FELL, _NOT_FINITE = (
-    status.code for status in (Status.TRACK_END, Status.LINK1_FELL, Status.LINK2_FELL, Status.NOT_FINITE)
-)
+status_code = inline(episode.status_code)
+report_cost = inline(episode.make_report_cost(wrap_angle))
+upright_reward = inline(episode.make_upright_reward(cos, math.exp))
+links_upright = inline(episode.make_links_upright(wrap_angle))
+counted = inline(episode.counted)
+succeeded = inline(episode.succeeded)
+
+
+@inline
+def _row(x, i):
+    return x[i, 0], x[i, 1], x[i, 2], x[i, 3], x[i, 4], x[i, 5]
 
 
 @compiled
 def status_codes(x, track_limit, limit1, limit2, codes):
-    """Fill in the status codes of states ``(n, 6)`` for bounds on position and angles; NaN is outside every bound.
+    """Fill in the status codes of states ``(n, 6)`` for bounds on position, one or one a row, and angles.
 
     This and the next two fill an array, the last argument, because to return one takes numba longer than to judge a
     row.
     """
     limits = np.broadcast_to(track_limit, codes.shape)
     for i in range(len(codes)):
-        on_track = abs(x[i, 0]) <= limits[i]
-        up1 = abs(x[i, 1]) <= limit1
-        up2 = abs(x[i, 2]) <= limit2
-        codes[i] = 0
-        if not (on_track & up1 & up2):  # seldom, so one test for all
-            codes[i] = _LINK2_FELL if up1 else _LINK1_FELL
-            if not on_track:
-                codes[i] = _TRACK_END
-            for k in range(6):
-                if not np.isfinite(x[i, k]):
-                    codes[i] = _NOT_FINITE
+        codes[i] = status_code(_row(x, i), (limits[i], limit1, limit2))
 
 
 @compiled
-def report_costs(x, codes, th1, th2, on_pos, on_th1, on_th2, failure_cost, costs):
-    r"""Fill in the weighted distances :math:`|p|, |n(\theta_i - \theta_i^*)|`, summed, plus the cost of a failure."""
+def report_costs(x, codes, target, weights, failure_cost, costs):
+    """Fill in the report's cost of arriving in states ``(n, 6)`` with those status codes."""
     for i in range(len(costs)):
-        cost = on_th1 * abs(wrap_angle(x[i, 1] - th1)) + on_th2 * abs(wrap_angle(x[i, 2] - th2))
-        if on_pos != 0.0:
-            cost += on_pos * abs(x[i, 0])
-        if codes[i] != 0:
-            cost += failure_cost
-        costs[i] = cost
+        costs[i] = report_cost(_row(x, i), codes[i], target, weights, failure_cost)
 
 
 @compiled
-def links_upright(x, th1, th2, angle, upright):
+def rows_upright(x, target, angle, upright):
     """Fill in which states ``(n, 6)`` have both links within an angle of where they are to be."""
     for i in range(len(upright)):
-        upright[i] = (abs(wrap_angle(x[i, 1] - th1)) <= angle) & (abs(wrap_angle(x[i, 2] - th2)) <= angle)
+        upright[i] = links_upright(_row(x, i), target, angle)
+
+
+@compiled
+def upright_rewards(x, codes, target, slowness, rewards):
+    """Fill in the default reward of a swing-up for states ``(n, 6)``; ``slowness`` is ``(1,)`` or ``(n,)``."""
+    slow = np.broadcast_to(slowness, rewards.shape)
+    for i in range(len(rewards)):
+        rewards[i] = upright_reward(_row(x, i), codes[i], target, slow[i])

@@ -1,11 +1,12 @@
-"""The plant made linear about a point, and sampled with its force held."""
+"""The plant linearized about a point, and sampled with its force held."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from .params import Array, Params
+from .arguments import checked_array, is_finite
+from .params import Array, Params, checked_params
 from .plant import rates
 
 _STEP = 1e-30  # a complex step has no cancellation, so it may be as small as one likes
@@ -33,21 +34,21 @@ def linearize(params: Params, x: npt.ArrayLike | None = None, u: float = 0.0) ->
     Raises
     ------
     TypeError
-        If ``params`` is something else, such as a rig.
+        If ``params`` is something else, such as a rig, or ``x`` or ``u`` is not made of numbers.
     ValueError
-        If ``params`` describes several plants, or ``x`` is not one state.
+        If ``params`` describes several plants, or ``x`` is not one finite state.
 
     Notes
     -----
     Source: W. Squire and G. Trapp, *Using complex variables to estimate derivatives of real functions*, 1998.
     """
-    if not isinstance(params, Params):
-        raise TypeError(f"linearize takes dpend.Params, such as rig.params; got {type(params).__name__}.")
-    if params.n is not None:
+    if checked_params("linearize", params).n is not None:
         raise ValueError(f"linearize takes one plant; got Params with arrays of {params.n} rows.")
-    point = np.zeros(6) if x is None else np.asarray(x, dtype=np.float64)
+    point = np.zeros(6) if x is None else checked_array("x", x, "a state (6,)")
     if point.shape != (6,):
         raise ValueError(f"linearize takes one state of shape (6,); got shape {point.shape}.")
+    if not is_finite(u):
+        raise TypeError(f"u must be one finite force on the cart, N; got {u!r}.")
     moved = point + 1j * _STEP * np.vstack([np.eye(6), np.zeros(6)])
     forces = u + 1j * _STEP * np.array([0, 0, 0, 0, 0, 0, 1])
     columns = np.imag(rates(moved, forces, params)) / _STEP
@@ -73,8 +74,10 @@ def discretize(A: npt.ArrayLike, B: npt.ArrayLike, sample_time: float) -> tuple[
 
     Raises
     ------
+    TypeError
+        If a matrix is not made of numbers.
     ValueError
-        If the shapes do not fit, or the sample time is not greater than zero.
+        If the shapes do not fit, a number is not finite, or the sample time is not greater than zero.
 
     Notes
     -----
@@ -82,12 +85,12 @@ def discretize(A: npt.ArrayLike, B: npt.ArrayLike, sample_time: float) -> tuple[
     """
     from scipy.linalg import expm  # kept out of `import dpend`
 
-    A = np.asarray(A, dtype=np.float64)
-    B = np.asarray(B, dtype=np.float64)
+    A = checked_array("A", A, "a matrix (n, n)")
+    B = checked_array("B", B, "a matrix (n, m)")
     if A.ndim != 2 or A.shape[0] != A.shape[1] or B.ndim != 2 or len(B) != len(A):
         raise ValueError(f"Expected A of shape (n, n) and B of shape (n, m); got {A.shape} and {B.shape}.")
-    if not sample_time > 0:
-        raise ValueError(f"sample_time must be greater than 0 s; got {sample_time!r}.")
+    if not (is_finite(sample_time) and sample_time > 0):
+        raise ValueError(f"sample_time must be finite and greater than 0 s; got {sample_time!r}.")
     n, m = B.shape
     held = np.zeros((n + m, n + m))
     held[:n, :n] = A

@@ -59,6 +59,11 @@ _BOUNDS = {
 }
 
 
+def unit_of(name: str) -> str:
+    """Return the SI unit of a field of :class:`Params`."""
+    return _BOUNDS[name][0]
+
+
 def checked_number(name: str, value: object, unit: str, least: float, least_allowed: bool) -> Number:
     """Return ``value`` as a float, or as a read-only array of one number a row, if it is finite and large enough.
 
@@ -105,6 +110,19 @@ def common_length(owner: str, values: dict[str, object]) -> int | None:
         listing = ", ".join(f"{name} ({n},)" for name, n in lengths.items())
         raise ValueError(f"All array fields of {owner} must have one length, one entry per row; got {listing}.")
     return next(iter(lengths.values()), None)
+
+
+def checked_params(what: str, params: object) -> Params:
+    """Return the plant, if it is one.
+
+    Raises
+    ------
+    TypeError
+        If it is something else, such as a rig; the message names ``what`` takes it.
+    """
+    if not isinstance(params, Params):
+        raise TypeError(f"{what} takes dpend.Params, such as rig.params; got {type(params).__name__}.")
+    return params
 
 
 @suggests

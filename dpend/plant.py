@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from . import equations
-from .params import Array, Params
+from .arguments import checked_array, is_finite
+from .params import Array, Params, checked_params
+
+PUSHES = {"push_cart": "on cart [N]", "push_link1": "on link 1 [N m]", "push_link2": "on link 2 [N m]"}
+"""What a run's log calls the generalised forces that acted beside the actuator, and what figures call them."""
+
+_MOST_EVALUATIONS = 50_000  # of the rates, in an interval of the reference
 
 _rates = equations.make_rates(np.sin, np.cos)
 _energies = equations.make_energies(np.cos)
@@ -37,8 +44,7 @@ class Positions(NamedTuple):
 
 
 def _numbers(x: npt.ArrayLike) -> npt.NDArray[Any]:
-    x = np.asarray(x)
-    x = x.astype(np.complex128 if np.iscomplexobj(x) else np.float64, copy=False)
+    x = checked_array("x", x, "states (..., 6)", finite=False, complex_too=True)
     if x.ndim == 0 or x.shape[-1] != 6:
         raise ValueError(f"A state has six numbers: expected an array of shape (..., 6); got shape {x.shape}.")
     return x
@@ -64,11 +70,14 @@ def rates(x: npt.ArrayLike, u: npt.ArrayLike, params: Params) -> npt.NDArray[Any
 
     Raises
     ------
+    TypeError
+        If states or forces are not numbers, or ``params`` is something else, such as a rig.
     ValueError
-        If a state does not have six numbers, or the forces have another shape.
+        If a state does not have six numbers, or the forces or plants have another shape.
     """
     x = _numbers(x)
-    u = np.asarray(u)
+    u = checked_array("u", u, "forces on the cart, or generalised forces (..., 3)", finite=False, complex_too=True)
+    c = checked_params("rates", params).coefficients()
     generalised = u.ndim == x.ndim and u.shape[-1] == 3
     if u.ndim == x.ndim > 1 and u.shape[-1] == 1:
         raise ValueError(
@@ -76,8 +85,15 @@ def rates(x: npt.ArrayLike, u: npt.ArrayLike, params: Params) -> npt.NDArray[Any
             f"{(*x.shape[:-1], 3)}; got shape {u.shape}."
         )
     f = (u[..., 0], u[..., 1], u[..., 2]) if generalised else (u, 0.0, 0.0)
-    columns = _rates(np.moveaxis(x, -1, 0), f, params.coefficients())
-    return np.stack(np.broadcast_arrays(*columns), axis=-1)
+    try:
+        return np.stack(np.broadcast_arrays(*_rates(np.moveaxis(x, -1, 0), f, c)), axis=-1)
+    except ValueError:
+        raise _unfit(x, params, f" and forces of shape {u.shape}") from None
+
+
+def _unfit(x: npt.NDArray[Any], params: Params, forces: str = "") -> ValueError:
+    plants = "one plant" if params.n is None else f"{params.n} plants"
+    return ValueError(f"States of shape {x.shape}{forces} do not broadcast for {plants}.")
 
 
 def energies(x: npt.ArrayLike, params: Params) -> Energies:
@@ -94,8 +110,17 @@ def energies(x: npt.ArrayLike, params: Params) -> Energies:
     -------
     Energies
         ``kinetic`` and ``potential``, each ``(...)``; ``total`` is their sum.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As :func:`rates`.
     """
-    return Energies(*_energies(np.moveaxis(_numbers(x), -1, 0), params.coefficients()))
+    x, c = _numbers(x), checked_params("energies", params).coefficients()
+    try:
+        return Energies(*_energies(np.moveaxis(x, -1, 0), c))
+    except ValueError:
+        raise _unfit(x, params) from None
 
 
 def positions(x: npt.ArrayLike, params: Params) -> Positions:
@@ -112,14 +137,23 @@ def positions(x: npt.ArrayLike, params: Params) -> Positions:
     -------
     Positions
         ``x_joint``, ``y_joint``, ``x_tip``, ``y_tip``, each ``(...)``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As :func:`rates`.
     """
-    return Positions(*_positions(np.moveaxis(_numbers(x), -1, 0), params.coefficients()))
+    x, c = _numbers(x), checked_params("positions", params).coefficients()
+    try:
+        return Positions(*_positions(np.moveaxis(x, -1, 0), c))
+    except ValueError:
+        raise _unfit(x, params) from None
 
 
 def reference(
     params: Params, x0: npt.ArrayLike, u: npt.ArrayLike, t: npt.ArrayLike, *, rtol: float = 1e-12, atol: float = 1e-12
 ) -> Array:
-    r"""Integrate :math:`\dot x = \mathrm{rates}(x, u)` by DOP853, as a check on the fixed-step integrator.
+    r"""Return :math:`x(t)` of :math:`\dot x = \mathrm{rates}(x, u)` by DOP853, as a check on the fixed-step integrator.
 
     Parameters
     ----------
@@ -141,24 +175,50 @@ def reference(
 
     Raises
     ------
+    TypeError
+        If an argument is not made of numbers, or ``params`` is something else, such as a rig.
     ValueError
-        If the forces do not match the intervals between the times.
+        If a number is not finite, there are several plants, the state is not one, the times do not increase, or the
+        forces do not match the intervals between them.
+    RuntimeError
+        If an interval takes more than 50 000 evaluations of the rates, as from rates beyond all reason.
     """
+    if checked_params("reference", params).n is not None:
+        raise ValueError(f"reference takes one plant; got Params with arrays of {params.n} rows.")
+    state = checked_array("x0", x0, "a state (6,)")
+    if state.shape != (6,):
+        raise ValueError(f"x0 must be one state of shape (6,); got shape {state.shape}.")
+    times = checked_array("t", t, "increasing times (T + 1,), s")
+    if times.ndim != 1 or not (len(times) and (np.diff(times) > 0).all()):
+        raise ValueError(f"t must be increasing times of shape (T + 1,), s; got {t!r}.")
+    forces = checked_array("u", u, "one force, or three, for each interval")
+    if forces.shape not in ((len(times) - 1,), (len(times) - 1, 3)):
+        raise ValueError(f"Expected one force, or three, for each of {len(times) - 1} intervals; got {forces.shape}.")
+    for name, tolerance in (("rtol", rtol), ("atol", atol)):
+        if not (is_finite(tolerance) and tolerance > 0):
+            raise ValueError(f"{name} must be finite and greater than 0; got {tolerance!r}.")
+    states = [state]
+    for force, start, end in zip(forces, times[:-1], times[1:], strict=True):
+        states.append(_integrated(params, states[-1], force, start, end, rtol, atol))
+    return np.stack(states)
+
+
+def _integrated(params: Params, x0: Array, force: Array, start: float, end: float, rtol: float, atol: float) -> Array:
     from scipy.integrate import solve_ivp  # only checks need scipy's integrators
 
-    times = np.asarray(t, dtype=np.float64)
-    forces = np.asarray(u, dtype=np.float64)
-    if len(forces) != len(times) - 1:
-        raise ValueError(f"Expected one force for each of the {len(times) - 1} intervals; got {len(forces)}.")
-    states = [np.asarray(x0, dtype=np.float64)]
-    for force, start, end in zip(forces, times[:-1], times[1:], strict=True):
-        solution = solve_ivp(
-            lambda _, x, held=force: rates(x, held, params),
-            (start, end),
-            states[-1],
-            method="DOP853",
-            rtol=rtol,
-            atol=atol,
-        )
-        states.append(solution.y[:, -1])
-    return np.stack(states)
+    spent = itertools.count(1)
+
+    def slope(_: float, x: Array) -> Array:
+        if next(spent) > _MOST_EVALUATIONS:
+            raise failed
+        return rates(x, force, params)
+
+    failed = RuntimeError(
+        f"The reference cannot follow the motion from {start:g} s to {end:g} s, which starts at {x0}: are the units "
+        "right (radians, metres, newtons)? Else make the interval shorter, or rtol and atol larger."
+    )
+    with np.errstate(over="ignore", invalid="ignore"):
+        solution = solve_ivp(slope, (start, end), x0, method="DOP853", rtol=rtol, atol=atol)
+    if not solution.success:
+        raise failed
+    return solution.y[:, -1]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import codecs
+import contextlib
 import csv
+import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,7 +23,10 @@ from .suggest import suggestion
 COLUMNS = ("t", *NAMES, "u", "command")
 """What a table may hold; the rates may be left out, and of the last two there is one."""
 
-_REQUIRED = ("t", "pos", "th1", "th2")
+_TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
+_CODE_PAGES = ("cp1252", "cp1250", "cp1251", "cp1253", "cp1254")  # western, central, Cyrillic, Greek, Turkish
+_CLOSEST = 0.2  # of the usual gap: what follows sooner is left out
+_WIDEST = 4.0  # samples that a gap may last and be bridged
 _MOST_TURNS = 100.0  # a link that has turned so far is counted in other units
 _FIT = 7  # samples that a rate is fitted to
 
@@ -36,13 +42,16 @@ class Recording(NamedTuple):
 def read_recording(
     path: str | Path,
     rig: Rig,
-    columns: Mapping[str, str] | None,
+    columns: Mapping[str, str | None] | None,
     angle_unit: str | float | Sequence[float],
     position_unit: float,
     force_unit: float,
+    time_unit: str | float,
     zero: str,
     relative: bool,
+    clamped: bool,
     tolerance: float,
+    resample: bool,
     any_size: bool,
 ) -> Recording:
     """Read what ``Run.from_csv`` is given; its documentation says what each argument is.
@@ -61,13 +70,21 @@ def read_recording(
     if zero not in ("up", "down"):
         raise ValueError(f'zero must be "up" or "down", where the angles are counted from; got {zero!r}.')
     single_rig(rig, "A recording")
-    table = _read_table(Path(path), _chosen(columns))
-    times = table["t"]
-    _check_clock(path, times, rig.sample_time, tolerance)
-
+    headings = _chosen(columns) | ({"u": None, "command": None} if clamped else {})
+    table = _read_table(Path(path), headings, ("t", "th1", "th2") if clamped else ("t", "pos", "th1", "th2"))
+    if clamped:  # nothing moves the cart, whatever was recorded of it
+        table |= {"pos": np.zeros_like(table["t"]), "vel": np.zeros_like(table["t"])}
+    table["t"] = _seconds(time_unit) * table["t"]
     if not any_size:
         _check_whole_numbers(path, table, per_angle)
-    angles = np.stack([np.unwrap(table[name] * per_angle[i]) for i, name in enumerate(("th1", "th2"))])
+    for i, name in enumerate(("th1", "th2")):
+        table[name] = np.unwrap(table[name] * per_angle[i])
+    if resample:
+        table = _resampled(path, table, rig.sample_time)
+    else:
+        _check_clock(path, table["t"], rig.sample_time, tolerance)
+
+    angles = np.stack([table["th1"], table["th2"]])
     rates: dict[str, Array] = {}
     if "vel" in table:
         rates["vel"] = position_unit * table["vel"]
@@ -89,10 +106,48 @@ def read_recording(
         if rate not in rates:
             rates[rate] = fitted_rates(positions[name], rig.sample_time)
     x = np.stack([(positions | rates)[name] for name in NAMES], axis=1)
-    u = force_unit * table["u"][:-1] if "u" in table else applied(rig, force_unit * table["command"][:-1])
+    steps = len(x) - 1
+    if headings["u"] is None and "command" not in table:
+        u = np.zeros(steps)
+    else:
+        u = force_unit * table["u" if "u" in table else "command"][:steps]
+        u = u if "u" in table else applied(rig, u)
+    if not (np.isfinite(x).all() and np.isfinite(u).all()):
+        raise ValueError(f"{path} holds numbers beyond all bounds in these units: look at the units.")
     if not any_size:
         _check_sizes(path, x, u, rig)
-    return Recording(rig.sample_time * np.arange(len(times), dtype=np.float64), x, u)
+    return Recording(rig.sample_time * np.arange(steps + 1, dtype=np.float64), x, u)
+
+
+def _resampled(path: str | Path, table: dict[str, Array], sample_time: float) -> dict[str, Array]:
+    """Return the table on the rig's clock: states by cubic splines, forces by the mean of what was held meanwhile."""
+    from scipy.interpolate import CubicSpline  # kept out of `import dpend`
+
+    times = table["t"]
+    gaps = np.diff(times)
+    if gaps.min() <= 0:
+        raise ValueError(f"The times in {path} do not increase; expected seconds, one sample after the other.")
+    widest = int(np.argmax(gaps))
+    if gaps[widest] > _WIDEST * max(sample_time, float(np.median(gaps))):
+        raise ValueError(
+            f"{path} has a gap of {gaps[widest]:g} s after sample {widest}, too wide to be bridged: cut the recording "
+            "there."
+        )
+    steps = math.floor((times[-1] - times[0]) / sample_time + 1e-6)
+    if steps < 2:
+        raise ValueError(
+            f"{path} lasts {times[-1] - times[0]:g} s, less than two samples of {sample_time:g} s: look at time_unit."
+        )
+    clock = np.minimum(times[0] + sample_time * np.arange(steps + 1), times[-1])
+    apart = np.append(True, gaps >= _CLOSEST * np.median(gaps))  # noise of close samples would make splines overshoot
+    new = {"t": clock}
+    for name, values in table.items():
+        if name in ("u", "command"):
+            pushed = np.append(0.0, np.cumsum(values[:-1] * gaps))  # N s since the beginning
+            new[name] = np.diff(np.interp(clock, times, pushed)) / sample_time
+        elif name != "t":
+            new[name] = CubicSpline(times[apart], values[apart])(clock)
+    return new
 
 
 def applied(rig: Rig, command: Array) -> Array:
@@ -139,53 +194,92 @@ def _radians(unit: str | float | Sequence[float]) -> tuple[float, float]:
     return float(first), float(second)
 
 
-def _chosen(columns: Mapping[str, str] | None) -> dict[str, str]:
-    """Return the heading of each quantity."""
+def _seconds(unit: str | float) -> float:
+    """Return the seconds in a unit of time."""
+    seconds = _TIME_UNITS.get(unit) if isinstance(unit, str) else unit
+    if seconds is None or not (is_finite(seconds) and seconds > 0):
+        raise ValueError(f'time_unit must be "s", "ms", "us", or the seconds in one unit, above 0; got {unit!r}.')
+    return float(seconds)
+
+
+def _chosen(columns: Mapping[str, str | None] | None) -> dict[str, str | None]:
+    """Return the heading of each quantity; None for a force that there was not."""
     given = dict(columns or {})
-    for name in given:
+    for name, heading in given.items():
         if name not in COLUMNS:
             raise ValueError(f"There is no quantity {name!r} to read.{suggestion(str(name), COLUMNS)}")
-    if "u" in given and "command" in given:
+        if not isinstance(heading, str) and (heading is not None or name not in ("u", "command")):
+            raise ValueError(f"columns[{name!r}] must be a heading of the table; got {heading!r}.")
+    if given.get("u") and given.get("command"):
         raise ValueError(
             'Give a column for "u", the force applied, or for "command", what was asked for; not for both.'
         )
-    return {name: name for name in COLUMNS} | given
+    return {name: name for name in COLUMNS} | ({"command": None} if "u" in given else {}) | given
 
 
-def _read_table(path: Path, headings: dict[str, str]) -> dict[str, Array]:
+def _read_table(path: Path, headings: dict[str, str | None], required: tuple[str, ...]) -> dict[str, Array]:
     """Read the columns that are there, as numbers."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        sample = file.read(4096)
-        file.seek(0)
-        delimiter = max(",;\t", key=sample.partition("\n")[0].count)
-        lines = [line for line in csv.reader(file, delimiter=delimiter) if any(cell.strip() for cell in line)]
+    text = _decoded(path.read_bytes(), [heading for heading in headings.values() if heading])
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    delimiter = max(";\t,", key=lambda sign: len(next(csv.reader([first], delimiter=sign, skipinitialspace=True), [])))
+    rows = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True)
+    lines = [line for line in rows if any(cell.strip() for cell in line)]
     if not lines:
         raise ValueError(f"{path} is empty; expected a line of column names and one line a sample.")
     header = [cell.strip() for cell in lines[0]]
     place = {name: header.index(heading) for name, heading in headings.items() if heading in header}
-    for name in _REQUIRED:
+    for name in required:
         if name not in place:
-            raise ValueError(_missing(path, name, headings[name], header))
-    if "u" not in place and "command" not in place:
-        raise ValueError(_missing(path, "u", headings["u"], header))
+            raise ValueError(_missing(path, name, str(headings[name]), header))
+    if headings["u"] is not None and "u" not in place and "command" not in place:
+        raise ValueError(_missing(path, "u", headings["u"], header) + ' If no force acted, give columns={"u": None}.')
     if "u" in place:
         place.pop("command", None)
     if len(lines) < 4:
         raise ValueError(f"{path} has {len(lines) - 1} samples; expected at least 3.")
-    table = {name: np.empty(len(lines) - 1) for name in place}
     for k, line in enumerate(lines[1:]):
-        for name, column in place.items():
-            cell = line[column].strip() if column < len(line) else ""
-            try:
-                table[name][k] = float(cell)
-            except ValueError:
-                table[name][k] = np.nan
-            if not math.isfinite(table[name][k]):
-                raise ValueError(
-                    f"{path}, sample {k}, column {header[column]!r}: expected a finite number; got {cell!r}. "
-                    "Cut the recording there, or fill the gap."
-                )
-    return table
+        if any(cell.strip() for cell in line[len(header) :]):
+            raise ValueError(
+                f"{path}, sample {k} has {len(line)} cells, the line of names {len(header)}. If commas are decimal "
+                "signs here, semicolons or tabs must separate the cells."
+            )
+    return {
+        name: _numbers(path, header[column], [line[column : column + 1] for line in lines[1:]])
+        for name, column in place.items()
+    }
+
+
+def _decoded(raw: bytes, headings: Sequence[str]) -> str:
+    """Return the text of a file: Unicode if it can be, else of the code page that knows most of the headings."""
+    if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return raw.decode("utf-16")
+    if b"\0" in raw[:2]:  # UTF-16 without a mark: the first letter of a heading is ASCII
+        return raw.decode("utf-16-be" if raw[:1] == b"\0" else "utf-16-le")
+    with contextlib.suppress(UnicodeDecodeError):
+        return raw.decode("utf-8-sig")
+    texts = [raw.decode(page, errors="replace") for page in _CODE_PAGES]
+    return max(texts, key=lambda text: sum(heading in text for heading in headings))
+
+
+def _numbers(path: Path, heading: str, cells: Sequence[Sequence[str]]) -> Array:
+    """Return a column's numbers, with decimal points or commas."""
+    texts = [cell[0].strip().replace("\N{MINUS SIGN}", "-") if cell else "" for cell in cells]
+    commas = any("," in text for text in texts)
+    if commas and any("." in text and "," not in text for text in texts):
+        raise ValueError(f"{path}, column {heading!r} has decimal points in some cells and commas in others.")
+    numbers = np.empty(len(texts))
+    for k, text in enumerate(texts):
+        thousands, decimal = (",", ".") if text.rfind(".") > text.rfind(",") else (".", ",")
+        try:
+            numbers[k] = float(text.replace(thousands, "").replace(decimal, ".") if commas else text)
+        except ValueError:
+            numbers[k] = np.nan
+        if not math.isfinite(numbers[k]):
+            raise ValueError(
+                f"{path}, sample {k}, column {heading!r}: expected a finite number; got {text!r}. "
+                "Cut the recording there, or fill the gap."
+            )
+    return numbers
 
 
 def _missing(path: Path, name: str, heading: str, header: list[str]) -> str:
@@ -205,13 +299,19 @@ def _check_clock(path: str | Path, times: Array, sample_time: float, tolerance: 
     if abs(steps[worst] - usual) > tolerance * usual:
         raise ValueError(
             f"{path} is not sampled uniformly: {steps[worst]:g} s from sample {worst} to the next, {usual:g} s as a "
-            f"rule, and the tolerance is {tolerance:.2g} of that. Resample it, or raise tolerance."
+            f"rule, and the tolerance is {tolerance:.2g} of that. Give resample=True, or raise tolerance."
         )
     mean = float(times[-1] - times[0]) / len(steps)
     if abs(mean - sample_time) > 0.01 * sample_time:
+        for unit, seconds in _TIME_UNITS.items():
+            if abs(mean * seconds - sample_time) <= 0.01 * sample_time:
+                raise ValueError(
+                    f"{path} is sampled every {mean:g} s, the rig every {sample_time:g} s: are the times in {unit}? "
+                    f'Give time_unit="{unit}".'
+                )
         raise ValueError(
             f"{path} is sampled every {mean:g} s, the rig every {sample_time:g} s; "
-            f"expected the same: rig.replace(sample_time={mean:.6g}), if the times are in seconds."
+            f"expected the same: rig.replace(sample_time={mean:.6g}), if the times are in seconds, or resample=True."
         )
 
 

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import math
+import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from .params import Number, Params, checked_number, common_length
+from .equations import make_acceleration_slopes
+from .params import Number, Params, checked_number, common_length, unit_of
 from .suggest import suggestion, suggests
 
 Count = int | npt.NDArray[np.int64]
 
 _INF = float("inf")
+
+_slopes = make_acceleration_slopes(np.sin, np.cos)
+_UPRIGHT_TO_FOLDED = np.pi / 4 * np.mgrid[0:5, 0:8].reshape(2, -1, 1)  # by symmetry half of all angles
+_STABLE = 2.0  # of the 2.785 up to which Runge-Kutta steps damp
+_MOST_SUBSTEPS = 1000
 
 
 def _checked_limit(name: str, value: object, unit: str) -> Number:
@@ -87,7 +96,9 @@ class Rig:
     sample_time : float
         Control period :math:`T`, s.
     substeps : int
-        Runge-Kutta steps in one sample.
+        Least number of Runge-Kutta steps in one sample; raised, for all rows, to what stiff friction takes to come to
+        rest: :math:`T\,\max_\theta\operatorname{tr}(D^{-1}\,\partial f_\text{friction}/\partial\dot q) / 2` at
+        :math:`\dot q = 0`.
     force_limit : float
         Largest force the actuator gives, N; ``inf`` for none.
     track_limit : float
@@ -136,7 +147,7 @@ class Rig:
             )
         checked = {
             "sample_time": sample_time,
-            "substeps": int(substeps),
+            "substeps": self._stable_substeps(sample_time, int(substeps)),
             "force_limit": _checked_limit("force_limit", self.force_limit, "N"),
             "track_limit": _checked_limit("track_limit", self.track_limit, "m"),
             "actuator_lag": checked_number("actuator_lag", self.actuator_lag, "s", 0.0, True),
@@ -149,6 +160,24 @@ class Rig:
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         self.n  # noqa: B018  (raises where array lengths differ)
+
+    def _stable_substeps(self, sample_time: float, least: int) -> int:
+        """Return the number of steps in a sample, at least ``least``, that resolves friction's fastest decay."""
+        c = self.params.coefficients()
+        if not (np.any(c.b0) or np.any(c.b1) or np.any(c.b2) or np.any(c.coulomb)):
+            return least
+        th1, th2 = _UPRIGHT_TO_FOLDED
+        with np.errstate(all="ignore"):  # what is beyond all numbers is refused below
+            *_, by_vel, by_om1, by_om2, _ = _slopes((0.0, th1, th2, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), c)
+            fastest = float(np.max(-(by_vel[0] + by_om1[1] + by_om2[2])))
+        substeps = max(least, math.ceil(min(1e9, fastest * sample_time / _STABLE)))
+        if substeps > max(least, _MOST_SUBSTEPS):
+            raise ValueError(
+                f"Friction stops this plant within {1 / fastest:.2g} s, too fast for a sample of {sample_time:g} s: it "
+                f"would take {substeps} substeps, more than {_MOST_SUBSTEPS}. Raise coulomb_speed, lower the friction, "
+                "or shorten sample_time."
+            )
+        return substeps
 
     @property
     def n(self) -> int | None:
@@ -177,13 +206,12 @@ class Rig:
         TypeError
             If neither ``Rig`` nor ``Params`` has a field of that name; the message suggests the nearest.
         """
-        own = {field.name for field in fields(Rig)}
-        plant = {field.name for field in fields(Params)}
+        known = {field.name for field in fields(Rig)} | _PLANT_FIELDS
         for name in changes:
-            if name not in own | plant:
-                raise TypeError(f"Neither Rig nor Params has a field {name!r}.{suggestion(name, own | plant)}")
+            if name not in known:
+                raise TypeError(f"Neither Rig nor Params has a field {name!r}.{suggestion(name, known)}")
         params = changes.pop("params", self.params)
-        plant_changes = {name: changes.pop(name) for name in tuple(changes) if name in plant}
+        plant_changes = {name: changes.pop(name) for name in tuple(changes) if name in _PLANT_FIELDS}
         if plant_changes:
             params = replace(params, **plant_changes)
         return replace(self, params=params, **changes)
@@ -202,9 +230,73 @@ class Rig:
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Rig:
-        """Build a rig from what :meth:`to_dict` gave; lists stand for arrays."""
+        """Return the rig that :meth:`to_dict` described; lists stand for arrays."""
         record = dict(record)
         return cls(params=Params(**record.pop("params")), **record)
+
+    def to_toml(self, path: str | Path) -> Path:
+        """Write the rig as TOML: its own fields first, then the plant's under ``[params]``.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where to.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        OSError
+            If it cannot be written.
+        """
+        path = Path(path)
+        lines = [*_toml_lines(self._own()), "", "[params]", *_toml_lines(self.params.to_dict())]
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        return path
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Rig:
+        """Return the rig that a TOML file describes; fields with defaults may be left out.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file, laid out as :meth:`to_toml` does it; SI units.
+
+        Returns
+        -------
+        Rig
+
+        Raises
+        ------
+        OSError
+            If it cannot be read.
+        ValueError
+            If it is not TOML, lacks a field, or holds one that is unknown or out of range.
+        """
+        try:
+            record = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            plant = record.get("params")
+            if not isinstance(plant, dict):
+                raise ValueError("expected a table [params] with the plant's masses and lengths")
+            for name in set(record) & _PLANT_FIELDS:
+                raise ValueError(f"{name} belongs under [params]")
+            for owner, there in ((Params, plant), (Rig, record)):
+                lacking = [f.name for f in fields(owner) if f.default is MISSING and f.name not in there]
+                if lacking:
+                    raise ValueError(f"{owner.__name__} lacks {', '.join(lacking)}")
+            return cls.from_dict(record)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path} describes no rig: {str(error).rstrip('.')}.") from error
+
+    def _repr_html_(self) -> str:
+        rows = {name: (value, _UNITS.get(name, "")) for name, value in self._own().items()}
+        rows |= {name: (value, unit_of(name)) for name, value in self.params.to_dict().items() if value is not None}
+        cells = (f"<tr><th>{name}</th><td>{value}</td><td>{unit}</td></tr>" for name, (value, unit) in rows.items())
+        return f"<table>{''.join(cells)}</table>"
 
     def _own(self) -> dict[str, Any]:
         return {field.name: getattr(self, field.name) for field in fields(self) if field.name != "params"}
@@ -216,6 +308,23 @@ class Rig:
         return self.params == other.params and all(np.array_equal(mine[name], theirs[name]) for name in mine)
 
     __hash__ = None  # type: ignore[assignment]  # a field may be an array
+
+
+_UNITS = {
+    "sample_time": "s",
+    "force_limit": "N",
+    "track_limit": "m",
+    "actuator_lag": "s",
+    "actuator_delay": "samples",
+    "force_noise": "N",
+    "sensor_delay": "samples",
+}
+_PLANT_FIELDS = {field.name for field in fields(Params)}
+
+
+def _toml_lines(values: dict[str, Any]) -> list[str]:
+    """Return ``name = value`` for numbers and arrays of them; what was left out stays out."""
+    return [f"{name} = {np.asarray(value).tolist()}" for name, value in values.items() if value is not None]
 
 
 def _is_per_row(name: str, value: Any) -> bool:
@@ -268,13 +377,13 @@ def _dompc_dip() -> Rig:
 
 
 def _capsule(length: float, radius: float, *, density: float = 1.0) -> tuple[float, float]:
-    """Mass, and moment of inertia about an axis across its middle, of a cylinder with two half balls as ends."""
+    """Mass, and moment of inertia about an axis across its middle, of a cylinder with hemispheres as ends."""
     cylinder = density * np.pi * radius**2 * length
-    balls = density * 4 / 3 * np.pi * radius**3
-    inertia = cylinder * (length**2 / 12 + radius**2 / 4) + balls * (
+    ends = density * 4 / 3 * np.pi * radius**3
+    inertia = cylinder * (length**2 / 12 + radius**2 / 4) + ends * (
         2 / 5 * radius**2 + length**2 / 4 + 3 / 8 * length * radius
     )
-    return cylinder + balls, inertia
+    return cylinder + ends, inertia
 
 
 def _gymnasium_idp() -> Rig:
@@ -334,12 +443,13 @@ PRESETS: MappingProxyType[str, Callable[[], Rig]] = MappingProxyType(
 
 
 def rig(name: str) -> Rig:
-    """Return the preset rig of that name.
+    """Return the preset rig of that name, or the rig that a TOML file describes.
 
     Parameters
     ----------
     name : str
-        One of those that :func:`rigs` lists.
+        One of those that :func:`rigs` lists, or the path of a file, ending in ``.toml``, that
+        :meth:`Rig.from_toml` reads.
 
     Returns
     -------
@@ -347,9 +457,13 @@ def rig(name: str) -> Rig:
 
     Raises
     ------
+    OSError
+        If the file cannot be read.
     ValueError
-        If there is none; the message suggests the nearest.
+        If there is no such preset, where the message suggests the nearest, or the file describes no rig.
     """
+    if isinstance(name, str | Path) and Path(name).suffix == ".toml":
+        return Rig.from_toml(name)
     if not isinstance(name, str) or name not in PRESETS:
         raise ValueError(f"There is no preset rig {name!r}.{suggestion(str(name), PRESETS)}")
     return PRESETS[name]()
@@ -382,7 +496,7 @@ def as_rig(rig_or_name: Rig | str) -> Rig:
 
 
 def rigs() -> dict[str, str]:
-    """List the preset rigs: what each one is, and its source, by name."""
+    """Return what each preset rig is, and its source, by name."""
     return {name: " ".join((build.__doc__ or "").split()) for name, build in PRESETS.items()}
 
 

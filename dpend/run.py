@@ -2,46 +2,30 @@
 
 from __future__ import annotations
 
-import json
+import base64
+import html
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
+from . import archive
 from .metrics import force_metrics, smoothness_metrics
 from .params import Array
 from .rig import Rig, as_rig
+from .state import wrap
 from .status import Status
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from .draw import Film, Plot
 
 Layout = dict[str, tuple[tuple[int, ...], type]]
 
 
-def _write(path: Path, form: str, about: dict[str, Any], arrays: dict[str, npt.NDArray[Any]]) -> Path:
-    """Write arrays and a description as a compressed ``.npz`` that can hold no code."""
-    if not path.suffix:
-        path = path.with_suffix(".npz")
-    text = json.dumps({"format": form} | about, default=lambda of_numpy: of_numpy.tolist())
-    with path.open("wb") as file:
-        np.savez_compressed(file, about=np.array(text), **cast(Any, arrays))
-    return path
-
-
-def _read(path: str | Path, form: str) -> tuple[dict[str, Any], dict[str, npt.NDArray[Any]]]:
-    with Path(path).open("rb") as source, np.load(source, allow_pickle=False) as file:
-        about = json.loads(str(file["about"]))
-        arrays = {name: file[name] for name in file.files if name != "about"}
-    if about.pop("format") != form:
-        raise ValueError("another format")
-    return about, arrays
-
-
+_RUN, _RUNS = "dpend run 1", "dpend runs 1"
 _LOG = "log "
 
 
@@ -57,19 +41,7 @@ def _unmarked(arrays: dict[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]
 
 def _check_arrays(arrays: dict[str, npt.NDArray[Any]], layout: Layout) -> None:
     if {name: (array.shape, array.dtype) for name, array in arrays.items()} != layout:
-        raise ValueError("other arrays")
-
-
-@contextmanager
-def _reading(path: str | Path, kind: str) -> Iterator[None]:
-    """Say of whatever a foreign file makes the readers stumble over that it is foreign."""
-    try:
-        yield
-    except OSError:
-        raise
-    except Exception as error:
-        what = "a run" if kind == "Run" else "runs"
-        raise ValueError(f"{path} is not {what} saved by {kind}.save, or it is damaged.") from error
+        raise ValueError("its arrays have other names, shapes or types")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +59,7 @@ class Run:
     step_time : ndarray (T,)
         Seconds that the controller took for each.
     log : mapping of str to ndarray (T,)
-        What the controller told of each of its steps, such as a solver's iterations.
+        What the controller logged of each of its steps, such as a solver's iterations.
     status : Status
         How the run ended.
     success : bool
@@ -154,19 +126,37 @@ class Run:
         measured = smoothness_metrics(self.u[None], self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
         return {name: float(value[0]) for name, value in measured.items()}
 
-    def plot(self) -> Figure:
-        """Draw position, angles, rates and force against time.
+    @property
+    def title(self) -> str:
+        """What ran and how it ended; where there was a task, whether it was done, and since when both links were up."""
+        since = f": both links up after {self.time_up:.2f} s" if np.isfinite(self.time_up) else ""
+        judged = np.isfinite(self.time_up) or (self.task != "None" and not self.success)
+        verdict = f"\n{'Success' if self.success else 'No success'}{since}." if judged else ""
+        return f"{self.controller}\n{self.status.value}{verdict}"
+
+    def _repr_html_(self) -> str:
+        picture = base64.b64encode(self.plot()._repr_png_()).decode()
+        words = html.escape(f"{self.title}\n{self.t[-1]:g} s on {self.task}").replace("\n", "<br>")
+        return f'<p>{words}</p><img width="480" src="data:image/png;base64,{picture}">'
+
+    def show(self) -> None:
+        """Show :meth:`plot`: in the notebook, or in a window until that is closed."""
+        self.plot().show()
+
+    def plot(self) -> Plot:
+        """Return position, angles, rates and force drawn against time, and pushes where there were any.
 
         Returns
         -------
         matplotlib.figure.Figure
+            Notebooks show it; ``figure.savefig(path)`` writes it, ``figure.show()`` opens a window.
         """
         from .draw import plot_run
 
         return plot_run(self)
 
-    def animate(self, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Path:
-        """Write an animation: a GIF, or an MP4 where ffmpeg is there.
+    def animate(self, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Film:
+        """Return the path of an animation, written there: a GIF, or an MP4 where ffmpeg is there.
 
         Parameters
         ----------
@@ -179,8 +169,8 @@ class Run:
 
         Returns
         -------
-        Path
-            The file.
+        Film
+            The path, which notebooks play.
 
         Raises
         ------
@@ -214,27 +204,32 @@ class Run:
             "row": self.row,
         }
         arrays = {name: getattr(self, name) for name in ("t", "x", "y", "u", "step_time")} | _marked(self.log)
-        return _write(Path(path), "dpend run 1", about, arrays)
+        return archive.write(path, _RUN, about, arrays)
 
     @classmethod
     def from_csv(
         cls,
         path: str | Path,
         rig: Rig | str,
-        columns: Mapping[str, str] | None = None,
+        columns: Mapping[str, str | None] | None = None,
         *,
         angle_unit: str | float | Sequence[float] = "rad",
         position_unit: float = 1.0,
         force_unit: float = 1.0,
+        time_unit: str | float = "s",
         zero: str = "up",
         relative: bool = False,
+        clamped: bool = False,
         tolerance: float = 0.01,
+        resample: bool = False,
         any_size: bool = False,
     ) -> Run:
-        r"""Read what a laboratory recorded: a table with a line of column names, then one line a sample.
+        r"""Return what a laboratory recorded: a table with a line of column names, then one line a sample.
 
         A line holds the time, what was measured then, and the force from then on; commas, semicolons or tabs
-        separate its cells.  What is measured stands in ``y``, and in ``x`` too, since nobody knows better.
+        separate its cells.  Decimal signs are points or commas, the text is Unicode or of a Windows code page.  What
+        is measured stands in ``y``, and in ``x`` too, for want of anything better.  ``success`` says whether neither
+        link ever leaned by more than a quarter turn.
 
         Parameters
         ----------
@@ -245,19 +240,27 @@ class Run:
         columns : mapping of str to str, optional
             Headings of ``"t"``, ``"pos"``, ``"th1"``, ``"th2"`` and of ``"u"``, the force on the cart, or
             ``"command"``, the force asked for, of which the rig's actuator (delay, limit, lag) makes the force; where
-            the file calls them so, leave them out.  ``"vel"``, ``"om1"``, ``"om2"`` are taken where they are there;
-            else they are the slopes of parabolas through seven samples.
+            the file calls them so, leave them out.  ``{"u": None}`` says that no force acted.
+            ``"vel"``, ``"om1"``, ``"om2"`` are taken where they are there; else they are slopes of parabolas through
+            seven samples.
         angle_unit : {"rad", "deg"}, float, or two floats
             Radians in a unit of the angles, such as ``2 * pi / 4096`` for encoder counts; negative where the encoder
             counts the other way, a pair where the two differ.  Jumps of a whole turn are undone.
         position_unit, force_unit : float
             Metres and newtons in a unit of position and force; negative where the direction is the other.
+        time_unit : {"s", "ms", "us"} or float
+            Seconds in a unit of the times.
         zero : {"up", "down"}
             Where the angles are zero.
         relative : bool
             Whether the second angle is that of link 2 against link 1, and its rate too.
+        clamped : bool
+            Whether the cart was held fast: it stands at 0, and neither its position nor a force is read.
         tolerance : float
             Share of the sample time by which the times may depart from a uniform clock.
+        resample : bool
+            Take any increasing times, and return the motion on the rig's clock: states by cubic splines, forces by
+            their mean over each sample.
         any_size : bool
             Accept numbers that look like those of another unit.
 
@@ -280,7 +283,19 @@ class Run:
 
         rig = as_rig(rig)
         t, x, u = read_recording(
-            path, rig, columns, angle_unit, position_unit, force_unit, zero, relative, tolerance, any_size
+            path,
+            rig,
+            columns,
+            angle_unit,
+            position_unit,
+            force_unit,
+            time_unit,
+            zero,
+            relative,
+            clamped,
+            tolerance,
+            resample,
+            any_size,
         )
         return cls(
             t=t,
@@ -289,7 +304,7 @@ class Run:
             u=u,
             step_time=np.full(len(u), np.nan),
             status=Status.FULL_LENGTH,
-            success=True,
+            success=bool((np.abs(wrap(x[:, 1:3])) <= np.pi / 2).all()),
             time_up=float("nan"),
             rig=rig,
             controller="a recording",
@@ -308,8 +323,7 @@ class Run:
         ValueError
             If it is not a saved run, or is damaged.
         """
-        with _reading(path, "Run"):
-            about, arrays = _read(path, "dpend run 1")
+        with archive.opened(path, _RUN) as (about, arrays):
             log = _unmarked(arrays)
             steps = arrays["u"].size
             shapes = {"t": (steps + 1,), "x": (steps + 1, 6), "y": (steps + 1, 6), "u": (steps,), "step_time": (steps,)}
@@ -346,7 +360,7 @@ class Runs:
         Seconds that the controller took for each; a batched law's time is shared equally
         among all rows, and counts on until the last of its batch has ended.
     log : mapping of str to ndarray (N, T)
-        What the controller told of each of its steps, such as a solver's iterations.
+        What the controller logged of each of its steps, such as a solver's iterations.
     x, y : ndarray (N, T + 1, 6), optional
         True and measured states, where they were recorded.
     rig : Rig
@@ -419,16 +433,28 @@ class Runs:
         """
         return smoothness_metrics(self.u, self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
 
-    def __getitem__(self, row: int) -> Run:
-        """Return one recorded run, cut at its end.
+    @overload
+    def __getitem__(self, row: int) -> Run: ...
+    @overload
+    def __getitem__(self, row: slice) -> Runs: ...
+    def __getitem__(self, row: int | slice) -> Run | Runs:
+        """Return one recorded run, cut at its end; or, of a slice such as ``[1:3]``, some runs side by side.
 
         Raises
         ------
+        TypeError
+            If the row is no whole number.
         IndexError
             If there is no such row.
         ValueError
-            If the states were not recorded.
+            If the states were not recorded, or a slice is empty or leaves rows out in between.
         """
+        if isinstance(row, slice):
+            return self._part(range(len(self))[row])
+        if isinstance(row, bool) or not isinstance(row, int | np.integer):
+            raise TypeError(
+                f"A run is taken out by a whole number, several by a slice: runs[0], runs[1:3]; got {row!r}."
+            )
         if self.x is None or self.y is None:
             raise ValueError("These runs hold no states; simulate them with record=True.")
         row = range(len(self))[row]
@@ -447,7 +473,23 @@ class Runs:
             task=self.task,
             seed=self.seed,
             row=self.first_row + row,
-            log={name: told[row, :steps] for name, told in self.log.items()},
+            log={name: values[row, :steps] for name, values in self.log.items()},
+        )
+
+    def _part(self, rows: range) -> Runs:
+        if rows.step != 1 or not rows:
+            raise ValueError(
+                f"A slice of runs must hold at least one, and neighbours only; got rows {list(rows)} of {len(self)}. "
+                "Take others one by one: [runs[i] for i in ...]."
+            )
+        cut = slice(rows.start, rows.stop)
+        arrays = {name: getattr(self, name) for name in self._layout(1, 1) if name != "t"}
+        return replace(
+            self,
+            rig=self.rig.rows(cut),
+            first_row=self.first_row + rows.start,
+            log={name: values[cut] for name, values in self.log.items()},
+            **{name: None if array is None else array[cut] for name, array in arrays.items()},
         )
 
     def save(self, path: str | Path) -> Path:
@@ -467,7 +509,7 @@ class Runs:
         }
         arrays = {name: getattr(self, name) for name in self._layout(len(self), self.u.shape[1])}
         kept = {k: array for k, array in arrays.items() if array is not None} | _marked(self.log)
-        return _write(Path(path), "dpend runs 1", about, kept)
+        return archive.write(path, _RUNS, about, kept)
 
     @classmethod
     def load(cls, path: str | Path) -> Runs:
@@ -480,8 +522,7 @@ class Runs:
         ValueError
             If it does not hold saved runs, or is damaged.
         """
-        with _reading(path, "Runs"):
-            about, arrays = _read(path, "dpend runs 1")
+        with archive.opened(path, _RUNS) as (about, arrays):
             log = _unmarked(arrays)
             layout = cls._layout(*arrays["u"].shape)
             _check_arrays(arrays, {k: form for k, form in layout.items() if k in arrays or k not in ("x", "y")})

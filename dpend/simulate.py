@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from time import perf_counter
 
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked_seed, checked_whole
 from .controller import Act, Controller, check_controller, is_batched
+from .episode import UprightClock
 from .params import Array
+from .plant import PUSHES
 from .rig import Rig, as_rig
 from .run import Run, Runs
 from .state import as_states
 from .stepper import CONTROLLER_STREAM, Stepper, checked_push, row_sequence
 from .tasks import Balance, NoTask, Task, checked_task
+from .workers import pool
 
 Push = Callable[[float], npt.ArrayLike]
 """Generalised forces on cart (N), link 1 and link 2 (N m), ``(3,)`` or ``(N, 3)``, as a function of time in s."""
@@ -53,7 +55,8 @@ def simulate(
     task : Task, optional
         What ends the run and what counts as success; None ends it only at the track's end.
     push : callable, optional
-        Generalised forces that act beside the actuator's, as a function of time, held over each sample.
+        Generalised forces that act beside the actuator's, as a function of time, held over each sample; the run's log
+        keeps them as ``push_cart`` (N), ``push_link1`` and ``push_link2`` (N m).
     seed : int
         What the disturbances are drawn from.
 
@@ -105,7 +108,8 @@ def simulate_many(
     task : Task, optional
         What ends a run and what counts as success; None ends it only at the track's end.
     push : callable, optional
-        Generalised forces that act beside the actuator's, as a function of time, held over each sample.
+        Generalised forces that act beside the actuator's, as a function of time, held over each sample; the run's log
+        keeps them as ``push_cart`` (N), ``push_link1`` and ``push_link2`` (N m).
     seed : int
         What the disturbances are drawn from: row ``i`` from ``(seed, first_row + i)``.
     first_row : int
@@ -133,8 +137,7 @@ def simulate_many(
         raise ValueError("x0 has no rows; expected at least one initial state.")
     if rig.n not in (None, len(states)):
         raise ValueError(f"The rig describes {rig.n} rows, x0 has {len(states)}; expected the same number.")
-    if workers < 1:
-        raise ValueError(f"workers must be at least 1; got {workers}.")
+    workers = checked_whole("workers", workers)
     the_task: Task = NoTask() if task is None else checked_task(task)
     samples = _samples(rig, the_task, duration)
     if push is not None:
@@ -145,24 +148,11 @@ def simulate_many(
     blocks = [slice(start, min(start + rows, len(states))) for start in range(0, len(states), rows)]
     simulate_block = partial(_simulate_block, rig, controller, states, samples, the_task, push, seed, first_row, record)
     if workers > 1 and not is_batched(controller) and len(blocks) > 1:
-        with ProcessPoolExecutor(min(workers, len(blocks)), mp_context=get_context("spawn")) as pool:
-            parts = list(pool.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))))
+        with pool(min(workers, len(blocks)), controller=controller, task=the_task, push=push) as executor:
+            parts = list(executor.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))))
     else:
         parts = [simulate_block(block) for block in blocks]
     return parts[0] if len(parts) == 1 else Runs.join(parts, rig)
-
-
-def checked_seed(name: str, value: object) -> int:
-    """Return a seed, or the number of a row, as an integer.
-
-    Raises
-    ------
-    TypeError
-        If it is not a whole number, at least zero.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise TypeError(f"{name} must be a whole number, at least 0; got {value!r}.")
-    return int(value)
 
 
 def _samples(rig: Rig, task: Task, duration: float | None) -> int:
@@ -220,6 +210,7 @@ def _simulate_block(
     t = rig.sample_time * np.arange(samples + 1, dtype=np.float64)
     forces = np.full((samples, n), np.nan)
     seconds = np.full(samples, np.nan)
+    pushes = None if push is None else np.full((samples, n, 3), np.nan)
     true = np.full((samples + 1, n, 6), np.nan) if record else None
     measured = np.full((samples + 1, n, 6), np.nan) if record else None
     codes = task.ended(x0, rig)
@@ -227,10 +218,8 @@ def _simulate_block(
     final = x0.copy()
     travel = np.abs(x0[:, 0])
     alive = codes == 0
-    upright_since = np.zeros(n, dtype=np.int64)
-    watch_upright = task.hold > 0
-    if watch_upright:
-        upright_since[~task.upright(x0)] = samples + 1
+    upright = UprightClock(task, rig, n)
+    upright.begin(x0)
     if true is not None and measured is not None:
         true[0], measured[0] = x0, y
     if not alive.all():
@@ -245,16 +234,16 @@ def _simulate_block(
         if not alive.all():
             u = np.where(alive, u, 0.0)
         pushed = None if push is None else checked_push(push(float(t[k])), len(states))
-        y = stepper.step(u, pushed if pushed is None or pushed.ndim == 1 else pushed[block])
+        pushed = pushed if pushed is None or pushed.ndim == 1 else pushed[block]
+        y = stepper.step(u, pushed)
         x = stepper.x
         forces[k] = stepper.force
+        if pushes is not None:
+            pushes[k] = pushed
         np.fmax(travel, np.abs(x[:, 0]), out=travel, where=alive)  # noise and pushes move what is parked
         if true is not None and measured is not None:
             true[k + 1], measured[k + 1] = x, y
-        if watch_upright:
-            up = task.upright(x)
-            np.minimum(upright_since, k + 1, out=upright_since, where=up)
-            upright_since[~up] = samples + 1
+        upright.tick(x)
         ended = task.ended(x, rig)
         ending = alive & (ended != 0)
         if ending.any():
@@ -269,9 +258,11 @@ def _simulate_block(
         true[1:][after_end] = np.nan
         measured[1:][after_end] = np.nan
     final[alive] = stepper.x[alive]
-    held = (samples - upright_since) * rig.sample_time
-    upright_long_enough = (upright_since <= samples) & (held >= task.hold - 1e-9) if watch_upright else alive
-    success = alive & upright_long_enough
+    success = upright.success(codes)
+    log = _log(act, n, samples, after_end)
+    if pushes is not None:
+        pushes[after_end] = np.nan
+        log |= dict(zip(PUSHES, pushes.T, strict=True))
     return Runs(
         t=t,
         u=forces.T,
@@ -280,9 +271,9 @@ def _simulate_block(
         success=success,
         final=final,
         travel=travel,
-        time_up=np.where(success & watch_upright, upright_since * rig.sample_time, np.nan),
+        time_up=np.where(success & upright.asked, (samples - upright.samples) * rig.sample_time, np.nan),
         step_time=np.broadcast_to(seconds / n, (n, samples)),
-        log=_log(act, n, samples, after_end),
+        log=log,
         rig=rig,
         controller=getattr(controller, "name", type(controller).__name__),
         task=repr(task),

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from .arguments import is_finite
+from .arguments import checked_whole, is_finite
 from .deprecation import renamed_arguments, renamed_exports
 from .params import Array
 from .rig import Rig
@@ -120,7 +120,7 @@ class ReportCost:
     def cost(self, x: Array, codes: Codes) -> Array:
         """Return the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
         costs = np.empty(len(x))
-        _kernels().report_costs(x, codes, *self.target_angles, *self.state_weights, self.failure_cost, costs)
+        _kernels().report_costs(x, codes, self.target_angles, self.state_weights, self.failure_cost, costs)
         return costs
 
     @property
@@ -128,10 +128,14 @@ class ReportCost:
         """Angles of link 1 and of link 2 from which the cost is counted, rad; upright unless a task says otherwise."""
         return 0.0, 0.0
 
+    @property
+    def angle_limits(self) -> tuple[float, float]:
+        """Greatest absolute angle of link 1 and of link 2, rad; none unless a task says otherwise."""
+        return math.inf, math.inf
 
-def _checked_steps(steps: object) -> None:
-    if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
-        raise ValueError(f"steps must be a whole number of samples, at least 1; got {steps!r}.")
+    def ended(self, x: Array, rig: Rig) -> Codes:
+        """Return status codes: the track's end, a fallen link, or zero."""
+        return _codes(x, rig, *self.angle_limits)
 
 
 @suggests
@@ -166,7 +170,7 @@ class Balance(ReportCost):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_lam(self.lam)
-        _checked_steps(self.steps)
+        checked_whole("steps", self.steps)
         if self.criterion not in ("strict", "report"):
             raise ValueError(f'criterion must be "strict" or "report"; got {self.criterion!r}.')
 
@@ -175,7 +179,7 @@ class Balance(ReportCost):
         """Balancing succeeds by lasting; no time upright is asked for beside it."""
         return 0.0
 
-    @cached_property
+    @property
     def angle_limits(self) -> tuple[float, float]:
         """Greatest absolute angle of link 1 and of link 2, rad."""
         return math.pi / 2, math.pi / 2 if self.criterion == "strict" else math.inf
@@ -185,10 +189,6 @@ class Balance(ReportCost):
         x = np.zeros((n, 6))
         x[:, 1:3] = self.lam * rng.uniform(-1.0, 1.0, (n, 2))
         return x
-
-    def ended(self, x: Array, rig: Rig) -> Codes:
-        """Return status codes: the track's end, a fallen link, or zero."""
-        return _codes(x, rig, *self.angle_limits)
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Return that every state will do: balancing asks for nothing but to last."""
@@ -260,7 +260,7 @@ class SwingUp(ReportCost):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _checked_steps(self.steps)
+        checked_whole("steps", self.steps)
         if not isinstance(self.start, str) or (self.start != "anywhere" and self.start not in STARTS):
             known = (*STARTS, "anywhere")
             raise ValueError(f"start must be one of {', '.join(map(repr, known))}; got {self.start!r}.")
@@ -294,14 +294,10 @@ class SwingUp(ReportCost):
         x[:, 1:3] = STARTS[self.start][1:3] + self.angle_spread * rng.uniform(-1.0, 1.0, (n, 2))
         return x
 
-    def ended(self, x: Array, rig: Rig) -> Codes:
-        """Return status codes: the track's end, or zero."""
-        return _codes(x, rig, math.inf, math.inf)
-
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Return which states have both links within ``upright_angle`` of the target's angles."""
         upright = np.empty(len(x), dtype=np.bool_)
-        _kernels().links_upright(x, *self.target_angles, self.upright_angle, upright)
+        _kernels().rows_upright(x, self.target_angles, self.upright_angle, upright)
         return upright
 
 

@@ -1,13 +1,15 @@
-"""The Gymnasium vector environments: many copies of ``dpend/Balance-v0`` or ``dpend/SwingUp-v0`` over one stepper."""
+"""The Gymnasium vector environments: many copies of one of the environments of :mod:`dpend.env` over one stepper."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
@@ -19,16 +21,20 @@ from .env import (
     check_render_mode,
     check_starts,
     checked_forces,
+    checked_rewards,
     frames_per_second,
-    held_long_enough,
     noise_seed,
     observation_space,
+    observer,
     task_from,
-    with_sines,
+    with_length,
 )
+from .episode import UprightClock
 from .kernels import compiled
 from .params import Array
-from .rig import Rig, as_rig
+from .rewards import Reward, reward_of
+from .rig import Rig, as_rig, single_rig
+from .shaping import Mixture, shaped_balance, shaped_swing_up
 from .state import as_states
 from .stepper import Stepper
 from .tasks import Balance, SwingUp, Task, checked_task
@@ -37,7 +43,16 @@ Flags = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 
 _MOST_PICTURES = 64
-_OWN_KEYWORDS = ("num_envs", "rig", "forces", "observation", "autoreset_mode", "render_mode")
+_OWN_KEYWORDS = (
+    "num_envs",
+    "rig",
+    "reward",
+    "forces",
+    "observation",
+    "autoreset_mode",
+    "render_mode",
+    "max_episode_steps",
+)
 
 
 @compiled
@@ -52,14 +67,13 @@ def _pick(forces, indices, picked):
 
 
 @compiled
-def _tally(codes, costs, begun, length, steps, rewards, terminated, truncated, over):
-    """Count a sample, fill in what it brought, and which copies it ended; give their number.
+def _tally(codes, rewards, begun, length, steps, terminated, truncated, over):
+    """Count a sample and fill in which copies it ended; return their number.
 
     To copies that have just begun it brought nothing.
     """
     for i in range(len(codes)):
         steps[i] += 1
-        rewards[i] = -costs[i]
         terminated[i] = codes[i] != 0
         truncated[i] = steps[i] >= length
     for i in begun:
@@ -98,7 +112,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         The rig, the name of a preset, or a rig with array fields (n,): one a copy.
     num_envs : int
         How many copies.
-    forces, observation
+    reward, forces, observation
         See :class:`~dpend.env.CartDoublePendulumEnv`; actions are ``(n,)`` indices or ``(n, 1)`` shares.
     autoreset_mode : gymnasium.vector.AutoresetMode
         When a copy that has ended begins anew: in the step after, whose action it ignores; in the same step, with the
@@ -125,12 +139,15 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
+    _spec: EnvSpec | None = None
+
     def __init__(
         self,
         task: Task,
         rig: Rig | str,
         num_envs: int = 1,
         *,
+        reward: str | Reward = "default",
         forces: npt.ArrayLike | None = None,
         observation: str = "raw",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
@@ -147,7 +164,8 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.single_observation_space = observation_space(observation)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._trig = observation == "trig"
+        self._observe = observer(observation, self.rig)
+        self._reward = reward_of(reward, self.task, self.rig)
         check_render_mode(render_mode, self.metadata["render_modes"])
         if render_mode is not None and num_envs > _MOST_PICTURES:
             raise ValueError(
@@ -168,11 +186,10 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         }
         self._one_rig_a_copy = self.rig.n is not None
         self._length = np.iinfo(np.int64).max if self.task.steps is None else self.task.steps
-        self._watch_upright = self.task.hold > 0
+        self._upright = UprightClock(self.task, self.rig, num_envs)
         self._stepper: Stepper | None = None
         self._pictures: list[Any] = []
         self._steps = np.zeros(self.num_envs, dtype=np.int64)
-        self._held = np.zeros(self.num_envs, dtype=np.int64)
         self._force_limits = np.full(self.num_envs, self.rig.force_limit)
         self._over: Indices = np.empty(0, dtype=np.intp)
         self._over_ahead: Indices = np.empty(self.num_envs, dtype=np.intp)
@@ -261,25 +278,21 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
                 f"{len(self._over)} episodes are over, the first in copy {self._over[0]}: call "
                 'reset(options={"reset_mask": terminated | truncated}) before the next step().'
             )
+        before = stepper.x.copy()
         y = stepper.step(self._commands(actions))
         codes = self.task.ended(stepper.x, self.rig)
-        costs = self.task.cost(stepper.x, codes)
-        if self._watch_upright:
-            self._held += 1
-            self._held[~self.task.upright(stepper.x)] = -1
+        rewards = checked_rewards(self._reward(before, stepper.force, stepper.x, codes), self.num_envs).copy()
+        self._upright.tick(stepper.x)
         begun = self._over  # none but with AutoresetMode.NEXT_STEP
         if len(begun):
             y[begun] = self._begin(begun)
-        rewards = np.empty(self.num_envs)
         terminated = np.empty(self.num_envs, dtype=np.bool_)
         truncated = np.empty(self.num_envs, dtype=np.bool_)
-        count = _tally(codes, costs, begun, self._length, self._steps, rewards, terminated, truncated, self._over_ahead)
+        count = _tally(codes, rewards, begun, self._length, self._steps, terminated, truncated, self._over_ahead)
         self._over = over = self._over_ahead[:count].copy()
         infos: dict[str, Any] = {}
         if len(over):
-            success = truncated & ~terminated
-            if self._watch_upright:
-                success &= held_long_enough(self._held, self.task, self.rig)
+            success = truncated & self._upright.success(codes)
             done = terminated | truncated
             ends = {"status": codes, "_status": done, "success": success, "_success": done.copy()}
             if self._mode is AutoresetMode.SAME_STEP:
@@ -291,6 +304,18 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         if self._imperfect:
             self._seen[:] = y
         return self._observe(y), rewards, terminated, truncated, infos
+
+    @property
+    def spec(self) -> EnvSpec | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """What Gymnasium knows of the environments, their greatest length included."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        self._spec = with_length(spec, self.task)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_pictures": []}
 
     @property
     def state(self) -> Array:
@@ -324,8 +349,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         if x0 is None:
             x0 = self._starts(rows)
         self._steps[rows] = 0
-        if self._watch_upright:
-            self._held[rows] = np.where(self.task.upright(x0), 0, -1)
+        self._upright.begin(x0, rows)
         return self._stepper.reset(x0, rows)
 
     def _starts(self, rows: Indices) -> Array:
@@ -367,9 +391,6 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         if mask.shape != (self.num_envs,) or not mask.any():
             raise ValueError(f"reset_mask must have shape ({self.num_envs},) and at least one true; got {mask!r}.")
         return mask
-
-    def _observe(self, y: Array) -> Array:
-        return with_sines(y) if self._trig else y
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
         """Draw the true state of every copy and the force applied to it.
@@ -417,27 +438,71 @@ def _maker(kind: type[Balance] | type[SwingUp]) -> Callable[..., CartDoublePendu
         num_envs: int = 1,
         rig: Rig | str = "gustafsson2016",
         *,
+        reward: str | Reward = "default",
         forces: npt.ArrayLike | None = None,
         observation: str = "raw",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        max_episode_steps: int | None = None,
         **task: Any,
     ) -> CartDoublePendulumVectorEnv:
         """Make the copies: the task's own parameters, and those of :class:`CartDoublePendulumVectorEnv`.
+
+        ``max_episode_steps`` is what Gymnasium calls the task's ``steps``.
 
         Raises
         ------
         TypeError
             If a parameter is unknown; the message suggests the nearest.
         ValueError
-            If a value is out of its range.
+            If a value is out of its range, two lengths differ, or weights of the report's cost are set and another
+            reward is paid.
         """
+        if max_episode_steps is not None and task.setdefault("steps", max_episode_steps) != max_episode_steps:
+            raise ValueError(
+                f"max_episode_steps and steps are one number; got {max_episode_steps!r} and {task['steps']!r}."
+            )
         return CartDoublePendulumVectorEnv(
-            task_from(kind, task, _OWN_KEYWORDS),
+            task_from(kind, task, _OWN_KEYWORDS, reward),
             rig,
             num_envs,
+            reward=reward,
             forces=forces,
             observation=observation,
+            autoreset_mode=autoreset_mode,
+            render_mode=render_mode,
+        )
+
+    return make
+
+
+def _shaped_maker(setup: Callable[[Rig], tuple[Mixture, Rig]]) -> Callable[..., CartDoublePendulumVectorEnv]:
+    """Return the entry point that makes copies as the shipped deep policies saw them."""
+
+    def make(
+        num_envs: int = 1,
+        rig: Rig | str = "gustafsson2016",
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        max_episode_steps: int | None = None,
+    ) -> CartDoublePendulumVectorEnv:
+        """Make the copies.
+
+        Raises
+        ------
+        ValueError
+            If the rig describes several plants or has no force limit.
+        """
+        task, slow = setup(single_rig(rig, "A shaped environment"))
+        if max_episode_steps is not None:
+            task = replace(task, steps=checked_whole("max_episode_steps", max_episode_steps))
+        return CartDoublePendulumVectorEnv(
+            task,
+            slow,
+            num_envs,
+            reward="shaped",
+            observation="scaled",
             autoreset_mode=autoreset_mode,
             render_mode=render_mode,
         )
@@ -450,3 +515,9 @@ balance_vector = _maker(Balance)
 
 swing_up_vector = _maker(SwingUp)
 """Make copies of ``dpend/SwingUp-v0``."""
+
+balance_shaped_vector = _shaped_maker(shaped_balance)
+"""Make copies of ``dpend/BalanceShaped-v0``."""
+
+swing_up_shaped_vector = _shaped_maker(shaped_swing_up)
+"""Make copies of ``dpend/SwingUpShaped-v0``."""

@@ -1,26 +1,38 @@
 """Learners for the inverted double pendulum on a cart."""
 
-from .deep import DeepRecipe, DeepTraining, train_deep
-from .gaussian_qac import GaussianQAC, QACTraining
-from .linear_q import LinearQLearning, Outcome, Training
-from .lspi import LSPI, LSPITraining, QuadraticQLearning
-from .policies import GainPolicy, LinearQPolicy, MLPPolicy, Network, load_policy
+from dpend.deprecation import renamed_exports
+
+from .deep import DeepLearner, train_deep
+from .linear_q import LinearQLearning
+from .lspi import LSPI, QuadraticQLearning
+from .natural_qac import NaturalQAC
+from .policies import GainPolicy, LinearQPolicy, MLPPolicy, Network, TableOneMean, load_policy
+from .qac import GaussianQAC
+from .recipes import DeepRecipe
+from .training import Cost, Learner, Outcome, Snapshot, Training
 
 __all__ = [
     "LSPI",
+    "Cost",
+    "DeepLearner",
     "DeepRecipe",
-    "DeepTraining",
     "GainPolicy",
     "GaussianQAC",
-    "LSPITraining",
+    "Learner",
     "LinearQLearning",
     "LinearQPolicy",
     "MLPPolicy",
+    "NaturalQAC",
     "Network",
     "Outcome",
-    "QACTraining",
     "QuadraticQLearning",
+    "Snapshot",
+    "TableOneMean",
     "Training",
     "load_policy",
     "train_deep",
 ]
+
+__getattr__ = renamed_exports(
+    __name__, dict.fromkeys(("DeepTraining", "LSPITraining", "QACTraining"), "Training"), globals()
+)

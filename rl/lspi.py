@@ -10,96 +10,51 @@ report is bang-bang, and on a linear plant the one that the Riccati equation giv
 :math:`\sqrt\gamma A, \sqrt\gamma B`.
 
 Sources: S. Bradtke, *Incremental dynamic programming for on-line adaptive optimal control*, 1994; M. Lagoudakis and
-R. Parr, *Least-squares policy iteration*, 2003.  ``docs/lspi.md`` tells what it takes on an unstable plant.
+R. Parr, *Least-squares policy iteration*, 2003.  ``docs/lspi.md`` says what it takes on an unstable plant.
 """
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from dpend.arguments import checked_whole
-from dpend.kernels import compiled, sample
-from dpend.params import Array, Coefficients
-from dpend.provenance import versions
-from dpend.rig import Rig, single_rig
+from dpend.kernels import compiled
+from dpend.params import Array
+from dpend.rig import Rig
 from dpend.suggest import suggests
+from dpend.tasks import Balance
 
+from ._episode import ended, episode, moved, started
 from .features import QUADRATIC, quadratic_features, quadratic_form
-from .linear_q import Outcome
 from .policies import GainPolicy
+from .training import Outcome, Progress, Seed, Session, Training, check_ranges, training_rig
 
-_SETTLED = 0.1  # a gain is at rest where the last tenth of them is within this of the last, relative to its norm
-_STREAM = (2003,)  # sets learning apart from starts drawn with the same seed
+_SETTLED = 0.1  # a gain has settled where the last tenth of them is within this of the last, relative to its norm
+_STREAM = 2003  # sets learning apart from starts drawn with the same seed
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LSPITraining:
-    """What a training of a gain gave, and what it cost.
+def gain_errors(gains: Array, K: npt.ArrayLike) -> Array:
+    r"""Return :math:`\|K_i - K\| / \|K\|` of gains against another.
 
-    Attributes
+    Parameters
     ----------
-    K : ndarray (6,)
-        The gain as it ended, N per unit of each state.
     gains : ndarray (m, 6)
-        The gain after each update that was recorded.
-    samples : ndarray (m,)
-        Samples of experience up to each of them.
-    experience : float
-        All experience, s of the plant's time.
-    outcome : Outcome
-        How it ended; ``converged`` is short for one of them.  The budget is always spent; converged means that the gain
-        came to rest: of the last tenth of the recorded ones none is further than a tenth of its norm from the last.
-    episodes, steps : int
-        Episodes begun and the samples in them.
-    lengths : ndarray (episodes,)
-        Samples of each; the last one was under way.
-    test_steps : int
-        Samples spent on tests: none.
-    policy : GainPolicy
-        The law :math:`u = -Kx`.
-    seconds : float
-        Wall time.
+        The gains, such as ``training.details["gains"]``.
+    K : array_like (6,) or (1, 6)
+        The gain to compare with.
+
+    Returns
+    -------
+    ndarray (m,)
     """
-
-    K: Array
-    gains: Array
-    samples: npt.NDArray[np.int64]
-    experience: float
-    outcome: Outcome
-    episodes: int
-    steps: int
-    lengths: npt.NDArray[np.int64]
-    test_steps: int = 0
-    policy: GainPolicy
-    seconds: float
-
-    @property
-    def converged(self) -> bool:
-        """Whether the gain had come to rest."""
-        return self.outcome is Outcome.CONVERGED
-
-    def errors(self, K: npt.ArrayLike) -> Array:
-        r"""Return :math:`\|K_i - K\| / \|K\|` of the recorded gains against another gain.
-
-        Parameters
-        ----------
-        K : array_like (6,) or (1, 6)
-            The gain to compare with.
-
-        Returns
-        -------
-        ndarray (m,)
-        """
-        reference = np.asarray(K, dtype=np.float64).reshape(6)
-        return np.linalg.norm(self.gains - reference, axis=1) / np.linalg.norm(reference)
+    reference = np.asarray(K, dtype=np.float64).reshape(6)
+    return np.linalg.norm(gains - reference, axis=1) / np.linalg.norm(reference)
 
 
 def fit_q(z: Array, costs: Array, z_next: Array, gamma: float) -> Array:
@@ -112,7 +67,7 @@ def fit_q(z: Array, costs: Array, z_next: Array, gamma: float) -> Array:
     costs : ndarray (n,)
         Cost of each.
     z_next : ndarray (n, k)
-        The states that followed, and the action that the policy to be valued would take there.
+        The states that followed, and the action that the policy to be evaluated would take there.
     gamma : float
         Discount factor.
 
@@ -149,14 +104,14 @@ def greedy_gain(H: Array) -> Array | None:
 class LSPI:
     r"""Least-squares policy iteration on a rig: from :math:`K = 0`, without a model, to a gain.
 
-    In every iteration the policy of the moment acts, with noise on its force; LSTD-Q values it on the latest samples;
+    In every iteration the current policy acts, with noise on its force; LSTD-Q evaluates it on the latest samples;
     the gain moves towards the greedy one.  The discount factor grows from a small one: with a short horizon the value
     of a policy that does not stabilise the plant is finite, and so is the first improvement.
 
     Parameters
     ----------
-    rig : Rig
-        An ideal one: no noise, delay or lag.
+    rig : Rig or str
+        An ideal one: no noise, delay or lag; or the name of a preset.
     state_weights : sequence of 6 floats
         Diagonal of :math:`Q`, at least zero.
     force_weight : float
@@ -178,7 +133,7 @@ class LSPI:
     noise : float
         Standard deviation of the exploring force, N.
     lam : float
-        Spread of the starting angles, :math:`U[-\lambda, \lambda]`, rad.
+        :math:`\lambda` of the starting angles, :math:`U[-\lambda, \lambda]`, rad.
     angle_cut : float
         An episode is cut where a link leans more, rad.  Not a failure: its last sample is a sample like any other.
     episode_steps : int
@@ -206,45 +161,46 @@ class LSPI:
     episode_steps: int = 100
 
     def __post_init__(self) -> None:
-        _check(self, ("iterations", "samples", "keep", "anneal"))
-        if not 0 < self.step <= 1:
-            raise ValueError(f"step must be above 0 and at most 1; got {self.step!r}.")
-        if self.keep < len(QUADRATIC):
-            raise ValueError(f"keep must be at least {len(QUADRATIC)}, the number of features; got {self.keep!r}.")
+        _check(
+            self,
+            ("iterations", "samples", "keep", "anneal"),
+            ("step", 0 < self.step <= 1, "above 0 and at most 1"),
+            ("keep", self.keep >= len(QUADRATIC), f"at least {len(QUADRATIC)}, the number of features"),
+        )
 
-    def train(self, seed: int | Sequence[int]) -> LSPITraining:
-        """Learn from zero gain.
+    @property
+    def task(self) -> Balance:
+        """Balancing, in episodes of its own."""
+        return Balance(lam=self.lam, steps=self.episode_steps)
 
-        Parameters
-        ----------
-        seed : int or sequence of int
-            What starts and exploration are drawn from.
+    def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
+        """Learn from zero gain, as every :class:`rl.Learner` does; the last iteration may have fewer samples.
 
-        Returns
-        -------
-        LSPITraining
+        The budget is always spent; converged means that the gain has settled: of the last tenth of the recorded ones
+        none is further than a tenth of its norm from the last.  ``curve`` has the ``length`` of each episode that
+        ended; ``details`` has ``gains`` (m, 6) after each iteration, N per unit of each state, and the ``samples`` (m,)
+        up to each.
         """
-        began = time.perf_counter()
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
-        exercise, coefficients = _exercise(self), np.array(self.rig.params.coefficients(), dtype=np.float64)
+        practice = _Practice(self, Session(self, seed, seconds, progress, _STREAM))
         Q, R = np.asarray(self.state_weights, dtype=np.float64), float(self.force_weight)
-        K, gains = np.zeros(6), np.zeros((self.iterations, 6))
-        state, clock = np.zeros(6), np.zeros(2, dtype=np.int64)
-        lengths = np.zeros(self.iterations * self.samples, dtype=np.int64)
+        K, gains, samples = np.zeros(6), [], [0]
+        total = min(self.iterations * self.samples, practice.session.budget)
         z, following = np.zeros((0, 7)), np.zeros((0, 6))
-        for iteration in range(self.iterations):
-            new, after = np.zeros((self.samples, 7)), np.zeros((self.samples, 6))
-            _practise(K, exercise, coefficients, rng, state, clock, lengths, new, after)
+        while samples[-1] < total:
+            n = min(self.samples, total - samples[-1])
+            new, after = np.zeros((n, 7)), np.zeros((n, 6))
+            _practise(K, *practice.memory, new, after)
             z, following = np.vstack([z, new])[-self.keep :], np.vstack([following, after])[-self.keep :]
-            grown = min(1.0, iteration / self.anneal)
+            grown = min(1.0, len(gains) / self.anneal)
             gamma = self.gamma_start + (self.gamma - self.gamma_start) * grown
             costs = z[:, :6] ** 2 @ Q + R * z[:, 6] ** 2
             greedy = greedy_gain(fit_q(z, costs, np.column_stack([following, -following @ K]), gamma))
             if greedy is not None:
                 K = K + self.step * (greedy - K)
-            gains[iteration] = K
-        samples = self.samples * np.arange(1, self.iterations + 1)
-        return _training(self, seed, gains, samples, lengths[: clock[1]], began)
+            gains.append(K)
+            samples.append(samples[-1] + n)
+            practice.session.report(samples[-1] / total)
+        return practice.training(np.array(gains), samples[1:])
 
 
 @suggests
@@ -263,8 +219,8 @@ class QuadraticQLearning:
 
     Parameters
     ----------
-    rig : Rig
-        An ideal one: no noise, delay or lag.
+    rig : Rig or str
+        An ideal one: no noise, delay or lag; or the name of a preset.
     state_weights : sequence of 6 floats
         Diagonal of :math:`Q`, at least zero.
     force_weight : float
@@ -280,7 +236,7 @@ class QuadraticQLearning:
     alpha : float
         Step size, above 0 and below 2.
     epsilon : float
-        What keeps the division bounded near rest.
+        What keeps the division bounded near the origin.
     scales : sequence of 7 floats
         Size of each state and of the action, by which it is divided.
     force_bound : float
@@ -288,7 +244,7 @@ class QuadraticQLearning:
     noise : float
         Standard deviation of the exploring force, N.
     lam : float
-        Spread of the starting angles, :math:`U[-\lambda, \lambda]`, rad.
+        :math:`\lambda` of the starting angles, :math:`U[-\lambda, \lambda]`, rad.
     angle_cut : float
         An episode is cut where a link leans more, rad.
     episode_steps : int
@@ -320,32 +276,28 @@ class QuadraticQLearning:
     record_every: int = 100
 
     def __post_init__(self) -> None:
-        _check(self, ("samples", "anneal", "record_every"))
-        if not 0 < self.alpha < 2:
-            raise ValueError(f"alpha must be above 0 and below 2; got {self.alpha!r}.")
-        if not (math.isfinite(self.epsilon) and self.epsilon > 0):
-            raise ValueError(f"epsilon must be finite and greater than 0; got {self.epsilon!r}.")
-        if len(self.scales) != 7 or not all(math.isfinite(scale) and scale > 0 for scale in self.scales):
-            raise ValueError(f"scales must be 7 finite numbers greater than 0; got {self.scales!r}.")
-        if not (math.isfinite(self.force_bound) and self.force_bound > 0):
-            raise ValueError(f"force_bound must be finite and greater than 0; got {self.force_bound!r}.")
+        scales_good = len(self.scales) == 7 and all(math.isfinite(scale) and scale > 0 for scale in self.scales)
+        _check(
+            self,
+            ("samples", "anneal", "record_every"),
+            ("alpha", 0 < self.alpha < 2, "above 0 and below 2"),
+            ("epsilon", 0 < self.epsilon < math.inf, "finite and greater than 0"),
+            ("scales", scales_good, "7 finite numbers greater than 0"),
+            ("force_bound", 0 < self.force_bound < math.inf, "finite and greater than 0"),
+        )
 
-    def train(self, seed: int | Sequence[int]) -> LSPITraining:
-        r"""Learn from zero gain.
+    @property
+    def task(self) -> Balance:
+        """Balancing, in episodes of its own."""
+        return Balance(lam=self.lam, steps=self.episode_steps)
 
-        Parameters
-        ----------
-        seed : int or sequence of int
-            What starts and exploration are drawn from.
+    def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
+        r"""Learn from zero gain, as every :class:`rl.Learner` does.
 
-        Returns
-        -------
-        LSPITraining
-            Recorded gains are those of the least :math:`\hat q`, and zero where it has no least.
+        The training is as that of :meth:`LSPI.train`; recorded gains are those of the least :math:`\hat q`, and zero
+        where it has no least.
         """
-        began = time.perf_counter()
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
-        exercise, coefficients = _exercise(self), np.array(self.rig.params.coefficients(), dtype=np.float64)
+        practice = _Practice(self, Session(self, seed, seconds, progress, _STREAM))
         scales = np.asarray(self.scales, dtype=np.float64)
         costs = np.append(self.state_weights, self.force_weight).astype(np.float64)
         settings = _Steps(
@@ -354,109 +306,73 @@ class QuadraticQLearning:
             gamma=float(self.gamma),
             gamma_start=float(self.gamma_start),
             anneal=int(self.anneal),
-            bound=min(float(self.force_bound), exercise.force_limit),
+            bound=min(float(self.force_bound), float(self.rig.force_limit)),
         )
         w = np.zeros(len(QUADRATIC))
         w[-1] = self.force_weight * scales[6] ** 2
-        updates = range(self.record_every, self.samples + 1, self.record_every)
-        gains = np.zeros((max(len(updates), 1), 6))
-        state, clock = np.zeros(6), np.zeros(2, dtype=np.int64)
-        lengths = np.zeros(self.samples, dtype=np.int64)
-        done, finite = 0, True
-        for row, end in enumerate(updates or (self.samples,)):
+        total = min(self.samples, practice.session.budget)
+        samples, gains, finite = [0], [], True
+        while samples[-1] < total:
+            end = min(samples[-1] + self.record_every, total)
             if finite:
-                finite = _learn_steps(
-                    w, scales, costs, settings, exercise, coefficients, rng, state, clock, lengths, done, end
-                )
-            done = end
+                finite = _learn_steps(w, scales, costs, settings, *practice.memory, samples[-1], end)
             greedy = greedy_gain(quadratic_form(w) / np.outer(scales, scales))
-            gains[row] = 0.0 if greedy is None else greedy
-        samples = np.asarray(list(updates) or [self.samples])
-        return _training(self, seed, gains, samples, lengths[: clock[1]], began, finite=finite)
+            gains.append(np.zeros(6) if greedy is None else greedy)
+            samples.append(end)
+            practice.session.report(end / total)
+        return practice.training(np.array(gains), samples[1:], finite=finite)
 
 
-def _training(
-    learner: LSPI | QuadraticQLearning,
-    seed: int | Sequence[int],
-    gains: Array,
-    samples: npt.NDArray[np.int64],
-    lengths: npt.NDArray[np.int64],
-    began: float,
-    *,
-    finite: bool = True,
-) -> LSPITraining:
-    latest = gains[-max(len(gains) // 10, 2) :]
-    with np.errstate(over="ignore", invalid="ignore"):
-        away = np.linalg.norm(latest - gains[-1], axis=1).max()
-        settled = len(latest) > 1 and away <= _SETTLED * np.linalg.norm(gains[-1]) and gains[-1].any()
-    outcome = Outcome.CONVERGED if settled else Outcome.BUDGET_SPENT
-    if not finite:
-        outcome = Outcome.DIVERGED
-    about = {
-        "learner": repr(learner),
-        "seed": seed if isinstance(seed, int) else list(seed),
-        "samples": int(samples[-1]),
-        "outcome": outcome.name,
-        "versions": versions(),
-    }
-    K = gains[-1].copy()
-    return LSPITraining(
-        K=K,
-        gains=gains,
-        samples=samples,
-        experience=float(samples[-1] * learner.rig.sample_time),
-        outcome=outcome,
-        episodes=len(lengths),
-        steps=int(lengths.sum()),
-        lengths=lengths,
-        policy=GainPolicy(K, about=about),
-        seconds=time.perf_counter() - began,
-    )
+class _Practice:
+    """How both learners practise: episodes that go on from call to call, and the training that they come to."""
+
+    def __init__(self, learner: LSPI | QuadraticQLearning, session: Session) -> None:
+        self.session = session
+        self._clock = np.zeros(2, dtype=np.int64)  # samples of the episode under way, and episodes begun
+        self._lengths = np.zeros(learner.samples * getattr(learner, "iterations", 1), dtype=np.int64)
+        plant = episode(learner.rig, learner.task, learner.angle_cut)
+        self.memory = plant, float(learner.noise), session.rng, np.zeros(6), self._clock, self._lengths
+        """What the compiled loops take, and change."""
+
+    def training(self, gains: Array, samples: Sequence[int], *, finite: bool = True) -> Training:
+        """Return the training that ended with the last of its gains."""
+        latest = gains[-max(len(gains) // 10, 2) :]
+        with np.errstate(over="ignore", invalid="ignore"):
+            away = np.linalg.norm(latest - gains[-1], axis=1).max()
+            settled = len(latest) > 1 and away <= _SETTLED * np.linalg.norm(gains[-1]) and gains[-1].any()
+        outcome = Outcome.CONVERGED if settled else Outcome.BUDGET_SPENT
+        if not finite:
+            outcome = Outcome.DIVERGED
+        under_way, begun = self._clock
+        lengths = self._lengths[:begun]
+        self.session.spent = int(lengths.sum())
+        details = {"gains": gains, "samples": np.array(samples)}
+        curve = {"length": lengths[:-1] if under_way else lengths}
+        return self.session.training(outcome, GainPolicy, gains[-1], (details["samples"], gains), curve, details)
 
 
-def _check(learner: LSPI | QuadraticQLearning, whole: tuple[str, ...]) -> None:
+def _check(learner: LSPI | QuadraticQLearning, whole: Sequence[str], *own: tuple[str, bool, str]) -> None:
     """Refuse settings that make no sense, before anything runs."""
-    kind, rig = type(learner).__name__, learner.rig
-    if not isinstance(rig, Rig):
-        raise TypeError(f"rig must be a dpend.Rig, such as dpend.rig('gustafsson2016'); got {rig!r}.")
-    single_rig(rig, kind)
-    if not rig.ideal:
-        raise ValueError(
-            f"{kind} trains on ideal rigs; got one with lag, delay, noise or rounding. "
-            "Train on the ideal rig, then simulate the policy on this one."
-        )
+    object.__setattr__(learner, "rig", training_rig(learner.rig, type(learner).__name__))
     for name in (*whole, "episode_steps"):
         checked_whole(name, getattr(learner, name))
     weights = learner.state_weights
-    if len(weights) != 6 or not all(math.isfinite(weight) and weight >= 0 for weight in weights):
-        raise ValueError(f"state_weights must be 6 finite numbers, at least 0; got {weights!r}.")
-    for name, good, wanted in (
+    weights_good = len(weights) == 6 and all(math.isfinite(weight) and weight >= 0 for weight in weights)
+    check_ranges(
+        learner,
+        ("state_weights", weights_good, "6 finite numbers, at least 0"),
         ("force_weight", 0 < learner.force_weight < math.inf, "finite and greater than 0"),
         ("gamma", 0 < learner.gamma <= 1, "above 0 and at most 1"),
         ("gamma_start", 0 < learner.gamma_start <= 1, "above 0 and at most 1"),
         ("noise", 0 < learner.noise < math.inf, "finite and greater than 0"),
         ("lam", 0 < learner.lam <= math.pi / 2, "above 0 and at most pi/2"),
         ("angle_cut", 0 < learner.angle_cut <= math.pi / 2, "above 0 and at most pi/2"),
-    ):
-        if not good:
-            raise ValueError(f"{name} must be {wanted}; got {getattr(learner, name)!r}.")
-
-
-class _Exercise(NamedTuple):
-    """How the compiled loops practise: starts, cuts, exploration, plant."""
-
-    noise: float
-    lam: float
-    angle_cut: float
-    steps: int
-    force_limit: float
-    track_limit: float
-    substep: float
-    substeps: int
+        *own,
+    )
 
 
 class _Steps(NamedTuple):
-    """What one-step Q-learning needs beside that."""
+    """What one-step Q-learning needs beside the episode."""
 
     alpha: float
     epsilon: float
@@ -466,49 +382,29 @@ class _Steps(NamedTuple):
     bound: float
 
 
-def _exercise(learner: LSPI | QuadraticQLearning) -> _Exercise:
-    rig = learner.rig
-    return _Exercise(
-        noise=float(learner.noise),
-        lam=float(learner.lam),
-        angle_cut=float(learner.angle_cut),
-        steps=int(learner.episode_steps),
-        force_limit=float(rig.force_limit),
-        track_limit=float(rig.track_limit),
-        substep=rig.sample_time / rig.substeps,
-        substeps=rig.substeps,
-    )
-
-
-_FIELDS = len(Coefficients._fields)
-
-
 @compiled
-def _practise(K, exercise, coefficients, rng, state, clock, lengths, z, following):
+def _practise(K, e, noise, rng, state, clock, lengths, z, following):
     """Fill in states with the force that acted, and the states that followed, under -Kx and noise.
 
     Episodes go on from call to call: in ``state`` their state, in ``clock`` their age and number; ``lengths`` grow.
     """
-    e = exercise
-    c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]
     x = (state[0], state[1], state[2], state[3], state[4], state[5])
     for k in range(len(z)):
         if clock[0] == 0:
-            x = (0.0, e.lam * rng.uniform(-1.0, 1.0), e.lam * rng.uniform(-1.0, 1.0), 0.0, 0.0, 0.0)
+            x = started(e, rng)
             clock[1] += 1
-        a = e.noise * rng.standard_normal()
+        a = noise * rng.standard_normal()
         for i in range(6):
             a -= K[i] * x[i]
             z[k, i] = x[i]
         a = min(max(a, -e.force_limit), e.force_limit)
         z[k, 6] = a
-        x = sample(x, (a, 0.0, 0.0), c, e.substep, e.substeps)
+        x = moved(e, x, a)
         for i in range(6):
             following[k, i] = x[i]
         clock[0] += 1
         lengths[clock[1] - 1] += 1
-        inside = abs(x[0]) <= e.track_limit and abs(x[1]) <= e.angle_cut and abs(x[2]) <= e.angle_cut
-        if not inside or clock[0] >= e.steps:
+        if ended(e, x) or clock[0] >= e.steps:
             clock[0] = 0
     for i in range(6):
         state[i] = x[i]
@@ -529,22 +425,21 @@ def _best_force(w, s, unit, bound):
 
 
 @compiled
-def _learn_steps(w, scales, costs, steps, exercise, coefficients, rng, state, clock, lengths, begin, end):
+def _learn_steps(w, scales, costs, steps, e, noise, rng, state, clock, lengths, begin, end):
     """Do one-step Q-learning on samples ``begin`` to ``end``, changing ``w`` in place; stop before overflow.
 
     Returns whether it did not have to stop.
     """
-    e, q = exercise, steps
-    c = Coefficients(*to_fixed_tuple(coefficients, _FIELDS))  # pyright: ignore[reportCallIssue]
+    q = steps
     x = (state[0], state[1], state[2], state[3], state[4], state[5])
     s, features = np.empty(7), np.empty(28)
     for t in range(begin, end):
         if clock[0] == 0:
-            x = (0.0, e.lam * rng.uniform(-1.0, 1.0), e.lam * rng.uniform(-1.0, 1.0), 0.0, 0.0, 0.0)
+            x = started(e, rng)
             clock[1] += 1
         for i in range(6):
             s[i] = x[i] / scales[i]
-        a = _best_force(w, s, scales[6], q.bound) + e.noise * rng.standard_normal()
+        a = _best_force(w, s, scales[6], q.bound) + noise * rng.standard_normal()
         a = min(max(a, -e.force_limit), e.force_limit)
         s[6] = a / scales[6]
         cost = costs[6] * a * a
@@ -558,7 +453,7 @@ def _learn_steps(w, scales, costs, steps, exercise, coefficients, rng, state, cl
                 norm += features[k] * features[k]
                 k += 1
 
-        x = sample(x, (a, 0.0, 0.0), c, e.substep, e.substeps)
+        x = moved(e, x, a)
         for i in range(6):
             s[i] = x[i] / scales[i]
         s[6] = _best_force(w, s, scales[6], q.bound) / scales[6]
@@ -575,8 +470,7 @@ def _learn_steps(w, scales, costs, steps, exercise, coefficients, rng, state, cl
             w[k] += change * features[k]
         clock[0] += 1
         lengths[clock[1] - 1] += 1
-        inside = abs(x[0]) <= e.track_limit and abs(x[1]) <= e.angle_cut and abs(x[2]) <= e.angle_cut
-        if not inside or clock[0] >= e.steps:
+        if ended(e, x) or clock[0] >= e.steps:
             clock[0] = 0
     for i in range(6):
         state[i] = x[i]

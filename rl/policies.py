@@ -1,9 +1,7 @@
-"""Learned policies: controllers made of plain arrays, saved with a checksum and loaded without running code."""
+"""Learned policies: controllers of plain arrays, saved with a checksum and loaded without running code."""
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
@@ -12,12 +10,13 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from dpend import archive
 from dpend.controller import Act
 from dpend.params import Array
-from dpend.state import nearest_upright
+from dpend.state import nearest_upright, wrap
 from dpend.suggest import suggestion
 
-from .features import TABLE1, slope_features
+from .features import TABLE1, make_value_features, slope_features
 from .shaping import observe
 
 _FORMAT = "dpend policy 2"
@@ -37,7 +36,7 @@ class Saved:
         raise NotImplementedError
 
     def save(self, path: str | Path) -> Path:
-        """Write an ``.npz`` of plain arrays with a checksum over all of them, at once or not at all.
+        """Write an archive of plain arrays with a checksum, to the end or not at all.
 
         Parameters
         ----------
@@ -49,19 +48,7 @@ class Saved:
         Path
             The file; ``.npz`` is added where the name has no suffix.
         """
-        path = Path(path)
-        if not path.suffix:
-            path = path.with_suffix(".npz")
-        stored = self.arrays() | {
-            "format": np.array(_FORMAT),
-            "kind": np.array(self.kind),
-            "about": np.array(json.dumps(self.about, default=str)),
-        }
-        part = path.with_name(f".{path.name}.part")
-        with part.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, checksum=np.array(_checksum(stored)), **stored)
-        part.replace(path)
-        return path
+        return archive.write(path, _FORMAT, {"kind": self.kind, "about": self.about}, self.arrays())
 
 
 class LinearQPolicy(Saved):
@@ -155,7 +142,61 @@ class GainPolicy(Saved):
         return {"K": self.K}
 
 
-# OpenBLAS shares larger products out to threads, which for these costs up to a hundred times what it saves.
+INDICATORS: Mapping[str, int] = MappingProxyType({"none": 0, "signs": 3, "cells": 8})
+"""Further features of the state by name, and their number: the signs of position and angles, or each combination."""
+
+
+class TableOneMean(Saved):
+    r"""Law :math:`u = \varphi(s)^\top v`, the mean of Algorithm 2's policy over Table 1's twelve features of the state.
+
+    Parameters
+    ----------
+    v : array_like (12 + k,)
+        Weights of the features, then of the ``k`` indicators.
+    indicators : {"none", "signs", "cells"}
+        Which of :data:`INDICATORS` take part.
+    about : mapping, optional
+        Where the weights come from, in words and numbers; saved with them.
+
+    Raises
+    ------
+    ValueError
+        If there is another number of weights, one is not finite, or the indicators are unknown.
+    """
+
+    kind = "table 1 mean"
+    name = "mean of Gaussian QAC"
+
+    def __init__(
+        self, v: npt.ArrayLike, indicators: str | npt.NDArray[Any], *, about: Mapping[str, Any] | None = None
+    ) -> None:
+        self.about = dict(about or {})
+        self.indicators = str(indicators)
+        if self.indicators not in INDICATORS:
+            raise ValueError(f"indicators must be one of {', '.join(map(repr, INDICATORS))}; got {self.indicators!r}.")
+        self.v = _vector("v", v, 12 + INDICATORS[self.indicators])
+
+    def __repr__(self) -> str:
+        return f"<{self.name}, seed {self.about.get('seed')}, {self.about.get('outcome', 'of unknown origin')}>"
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Return the law for ``n`` runs."""
+        value_features, v = make_value_features(), self.v
+        return lambda t, y: np.einsum("i,ij->j", v, np.stack([*value_features(y.T), *self._indicated(y)]))
+
+    def _indicated(self, y: Array) -> list[Array]:
+        positive = [y[:, 0] > 0, wrap(y[:, 1]) > 0, wrap(y[:, 2]) > 0]
+        if self.indicators == "signs":
+            return [sign.astype(np.float64) for sign in positive]
+        cell = 4 * positive[0] + 2 * positive[1] + positive[2]
+        return [(cell == k).astype(np.float64) for k in range(INDICATORS[self.indicators])]
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return what is saved, by name."""
+        return {"v": self.v, "indicators": np.array(self.indicators)}
+
+
+# OpenBLAS splits larger products over threads, which for these costs up to a hundred times what it saves.
 _SMALL_PRODUCT = 1 << 18
 
 _ACTIVATIONS: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
@@ -263,7 +304,7 @@ class Network(Saved):
         about: Mapping[str, Any],
         **layers: npt.NDArray[Any],
     ) -> Network:
-        """Build a network from what :meth:`arrays` gave."""
+        """Build a network from what :meth:`arrays` returned."""
         k = len(layers) // 2
         names = [f"{kind}{i}" for kind in ("weight", "bias") for i in range(k)]
         if set(layers) != set(names):
@@ -275,7 +316,7 @@ class Network(Saved):
 class MLPPolicy(Saved):
     r"""A network on scaled states, :math:`u = F\,\pi(o(y))`, held for a period of its own.
 
-    Where the network has one input more than :func:`rl.shaping.observe` gives for a state, it also sees its own last
+    Where the network has one input more than :func:`rl.shaping.observe` returns for a state, it also sees its own last
     action.
 
     Parameters
@@ -360,17 +401,18 @@ class MLPPolicy(Saved):
         about: Mapping[str, Any],
         **network: npt.NDArray[Any],
     ) -> MLPPolicy:
-        """Build a policy from what :meth:`arrays` gave."""
+        """Build a policy from what :meth:`arrays` returned."""
         net = Network.from_arrays(about=about, **network)
         return cls(net, scales=scales, force_limit=float(force_limit), period=float(period), about=about)
 
 
-Policy = LinearQPolicy | GainPolicy | MLPPolicy | Network
+Policy = LinearQPolicy | GainPolicy | TableOneMean | MLPPolicy | Network
 
 _KINDS: Mapping[str, Callable[..., Policy]] = MappingProxyType(
     {
         LinearQPolicy.kind: LinearQPolicy,
         GainPolicy.kind: GainPolicy,
+        TableOneMean.kind: TableOneMean,
         MLPPolicy.kind: MLPPolicy.from_arrays,
         Network.kind: Network.from_arrays,
     }
@@ -403,30 +445,10 @@ def load_policy(policy: str | Path) -> Policy:
         if not path.exists():
             known = [file.stem for file in _TRAINED.glob("*.npz")]
             raise FileNotFoundError(f"There is no file and no shipped policy {policy!r}.{suggestion(policy, known)}")
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        if str(arrays.pop("format")) != _FORMAT:
-            raise ValueError("another format")
-        if str(arrays.pop("checksum")) != _checksum(arrays | {"format": np.array(_FORMAT)}):
-            raise ValueError("its checksum does not match what it holds")
-        kind = str(arrays.pop("kind"))
-        if kind not in _KINDS:
-            raise ValueError(f"an unknown kind of policy, {kind!r}")
-        return _KINDS[kind](about=json.loads(str(arrays.pop("about"))), **arrays)
-    except FileNotFoundError:
-        raise
-    except Exception as error:
-        raise ValueError(f"{path} is not a policy saved by dpend ({error}).") from error
-
-
-def _checksum(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
-    """Hash names, types, shapes and contents of arrays."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name}\0{array.dtype.str}\0{array.shape}\0".encode() + array.tobytes())
-    return digest.hexdigest()
+    with archive.opened(path, _FORMAT) as (header, arrays):
+        if header["kind"] not in _KINDS:
+            raise ValueError(f"an unknown kind of policy, {header['kind']!r}")
+        return _KINDS[header["kind"]](about=header["about"], **arrays)
 
 
 def _shortest(array: Array) -> npt.NDArray[np.floating[Any]]:

@@ -25,14 +25,12 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.sac.policies import SACPolicy
 from stable_baselines3.td3.policies import TD3Policy
 
+from dpend.archive import atomic
 from dpend.params import Array
 
-from .deep import DeepRecipe, training_envs
 from .policies import Network
+from .recipes import ROLLOUT, DeepRecipe, training_envs
 from .shaping import nearness, observation_scales, observe
-
-ROLLOUT = 64
-"""Steps that PPO takes in every copy between two rounds of updates."""
 
 _EFFORT = 0.005
 _WARM_UP = 5000  # steps of random actions before DDPG, TD3 and SAC learn
@@ -48,7 +46,7 @@ class Copies(VecEnv):
     Parameters
     ----------
     envs : gymnasium.vector.VectorEnv
-        The environments, which begin anew in the step that ends an episode.
+        The environments, which start again in the step that ends an episode.
     recipe : DeepRecipe
         Says what is seen and rewarded.
     """
@@ -82,18 +80,18 @@ class Copies(VecEnv):
         return self._observed(y, self._last)
 
     def step_async(self, actions: Any) -> None:
-        """Take note of the actions."""
+        """Keep the actions for the step."""
         self._actions = actions
 
     def step_wait(self) -> Any:
         """Take a step in every copy."""
-        y, rewards, terminated, truncated, infos = self._envs.step(self._actions * self._half_range + self._middle)
+        y, rewards, terminated, truncated, seen = self._envs.step(self._actions * self._half_range + self._middle)
         done = terminated | truncated
         last, rows = self._last, np.flatnonzero(done)
         arrived = y
         if len(rows):
             arrived = np.array(y)
-            arrived[rows] = np.stack(list(infos["final_obs"][rows]))
+            arrived[rows] = np.stack(list(seen["final_obs"][rows]))
         if self._own:
             a = np.clip(self._actions[:, 0].astype(np.float64), -1.0, 1.0)
             rewards = rewards - _EFFORT * a**2
@@ -101,16 +99,16 @@ class Copies(VecEnv):
                 near = nearness(np.cos(arrived[:, 1]), np.cos(arrived[:, 2]))
                 rewards -= self.grown * self._action_rate * np.abs(a - last) * near
                 last = self._last = a
-        told = self._nothing
+        infos = self._nothing
         if len(rows):
-            told = self._nothing.copy()
+            infos = self._nothing.copy()
             finals = self._observed(arrived[rows], None if last is None else last[rows])
             for row, final in zip(rows, finals, strict=True):
                 cut = bool(truncated[row] and not terminated[row])
-                told[row] = {"terminal_observation": final, "TimeLimit.truncated": cut}
+                infos[row] = {"terminal_observation": final, "TimeLimit.truncated": cut}
             if last is not None:
                 last[rows] = 0.0
-        return self._observed(y, last), rewards.astype(np.float32), done, told
+        return self._observed(y, last), rewards.astype(np.float32), done, infos
 
     def _observed(self, y: Any, last: Array | None) -> Any:
         return (observe(y, self._scales, last) if self._own else np.asarray(y)).astype(np.float32)
@@ -139,7 +137,7 @@ class Copies(VecEnv):
 
 
 class MirroredBuffer(ReplayBuffer):
-    r"""A replay buffer that gives each transition or, as often, its mirror image: that of :math:`-x` and :math:`-a`."""
+    r"""A replay buffer that returns a transition or, as often, its mirror image: that of :math:`-x` and :math:`-a`."""
 
     def _get_samples(self, batch_inds: Any, env: Any = None) -> ReplayBufferSamples:
         samples = super()._get_samples(batch_inds, env)
@@ -256,16 +254,16 @@ class Learner:
         net: dict[str, Any] = {"net_arch": list(recipe.net)}
         if recipe.algo == "ppo":
             own: dict[str, Any] = net | {"log_std_init": float(np.log(recipe.noise))}
-            caps = any(recipe.caps)
+            caps = recipe.ppo.caps if any(recipe.ppo.caps or ()) else None
             if caps:
-                own["caps"] = recipe.caps
+                own["caps"] = caps
             return PPO(
                 CAPSPolicy if caps else "MlpPolicy",
                 self._env,
                 n_steps=ROLLOUT,
                 n_epochs=max(round(recipe.updates * recipe.batch), 1),
                 gae_lambda=0.95,
-                target_kl=recipe.target_kl or None,
+                target_kl=recipe.ppo.target_kl,
                 ent_coef=1.0 if caps else 0.0,
                 rollout_buffer_class=PairedBuffer if caps else None,
                 policy_kwargs=own,
@@ -273,7 +271,7 @@ class Learner:
             )
         normalised: Any = NormalisedSACPolicy if recipe.algo == "sac" else NormalisedTD3Policy
         model = {"ddpg": DDPG, "td3": TD3, "sac": SAC}[recipe.algo](
-            normalised if recipe.layer_norm else "MlpPolicy",
+            normalised if recipe.off_policy.layer_norm else "MlpPolicy",
             self._env,
             policy_kwargs=net | {"optimizer_kwargs": {"fused": True}},  # the same steps, an eighth sooner
             **self._shared(),
@@ -282,14 +280,14 @@ class Learner:
         actor = model.policy.actor
         with torch.no_grad():
             if isinstance(model, SAC):
-                actor.mu.weight *= recipe.first_actions
+                actor.mu.weight *= recipe.off_policy.first_actions
             else:
                 for one in (actor, model.policy.actor_target):
-                    one.mu[-2].weight *= recipe.first_actions
+                    one.mu[-2].weight *= recipe.off_policy.first_actions
         return model
 
     def _shared(self) -> dict[str, Any]:
-        """Return what all algorithms are told."""
+        """Return the options of all algorithms."""
         recipe = self._recipe
         first, last = recipe.learning_rate
 
@@ -306,7 +304,7 @@ class Learner:
         }
 
     def _off_policy(self) -> dict[str, Any]:
-        """Return what DDPG, TD3 and SAC are told."""
+        """Return the options of DDPG, TD3 and SAC."""
         recipe = self._recipe
         size = int(np.prod(self._env.action_space.shape or ()))
         return {
@@ -317,7 +315,7 @@ class Learner:
             "action_noise": None
             if recipe.algo == "sac"
             else NormalActionNoise(np.zeros(size), np.full(size, recipe.noise)),
-            "replay_buffer_class": MirroredBuffer if recipe.mirror else None,
+            "replay_buffer_class": MirroredBuffer if recipe.off_policy.mirror else None,
         }
 
     @property
@@ -355,7 +353,7 @@ class Learner:
         )
 
     def save(self, path: Path, beside: dict[str, Any]) -> None:
-        """Write all that is needed to go on, at once or not at all; ``beside`` holds arrays, numbers and words."""
+        """Write all that is needed to go on, to the end or not at all; ``beside`` holds arrays, numbers and words."""
         model = self._model
         state: dict[str, Any] = {
             "steps": model.num_timesteps,
@@ -368,12 +366,11 @@ class Learner:
             filled = buffer.buffer_size if buffer.full else buffer.pos
             state["replay"] = {name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _REPLAY}
             state["place"] = (buffer.pos, buffer.full)
-        part = path.with_name(f".{path.name}.part")
-        torch.save(state, part)
-        part.replace(path)
+        with atomic(path) as part:
+            torch.save(state, part)
 
     def restore(self, path: Path) -> dict[str, Any]:
-        """Go on from what :meth:`save` wrote, in new episodes; give what was saved beside it."""
+        """Go on from what :meth:`save` wrote, in new episodes; return what was saved beside it."""
         state = torch.load(path, weights_only=True)
         model = self._model
         model.num_timesteps = state["steps"]
@@ -386,9 +383,7 @@ class Learner:
             buffer.pos, buffer.full = state["place"]
         # Not the random numbers of the first time once more.
         model.set_random_seed((self._seed + 7919 * state["steps"]) % 2**31)
-        beside = state["beside"]
-        beside["network"] = {name: np.asarray(array) for name, array in arrays(beside["network"]).items()}
-        return beside
+        return arrays(state["beside"])
 
     def _learned(self) -> dict[str, Any]:
         """Return all that updates have changed."""
@@ -402,7 +397,7 @@ class Learner:
         return learned
 
     def _learn_again(self, learned: dict[str, Any]) -> None:
-        """Take what :meth:`_learned` gave."""
+        """Load what :meth:`_learned` returned."""
         model = self._model
         model.policy.load_state_dict(learned["policy"])
         for optimizer, saved in zip(self._optimizers(), learned["optimizers"], strict=True):
@@ -438,4 +433,6 @@ def arrays(thing: Any) -> Any:
     """Return the same with arrays in place of tensors."""
     if isinstance(thing, dict):
         return {key: arrays(value) for key, value in thing.items()}
+    if isinstance(thing, list):
+        return [arrays(value) for value in thing]
     return thing.numpy() if isinstance(thing, torch.Tensor) else thing

@@ -36,7 +36,7 @@ def _states(model: Any) -> dict[str, Any]:
 
 
 class _Falling(OffPolicyAlgorithmJax):
-    """Gives everything that learns the rate of now; DDPG, TD3 and the entropy weight of SAC keep the first else."""
+    """Sets the current rate of everything that learns; else DDPG, TD3 and SAC's entropy weight keep the first."""
 
     def train(self, gradient_steps: int, batch_size: int) -> None:
         rate = self.lr_schedule(self._current_progress_remaining)
@@ -63,7 +63,7 @@ class Learner(sb3.Learner):
 
     def _built(self) -> Any:
         recipe, shared = self._recipe, self._shared()
-        own: dict[str, Any] = {"net_arch": list(recipe.net), "layer_norm": recipe.layer_norm}
+        own: dict[str, Any] = {"net_arch": list(recipe.net), "layer_norm": recipe.off_policy.layer_norm}
         if recipe.algo != "sac":
             own["optimizer_class"] = _adam  # SAC makes its Adam so itself
         algorithm: Any = {"ddpg": _DDPG, "td3": _TD3, "sac": _SAC}[recipe.algo]
@@ -74,7 +74,7 @@ class Learner(sb3.Learner):
 
         def first(parameters: Any) -> Any:
             layers = parameters["params"]
-            layer = layers[last] | {"kernel": recipe.first_actions * layers[last]["kernel"]}
+            layer = layers[last] | {"kernel": recipe.off_policy.first_actions * layers[last]["kernel"]}
             return parameters | {"params": layers | {last: layer}}
 
         model.policy.actor_state = state.replace(params=first(state.params))
@@ -85,7 +85,9 @@ class Learner(sb3.Learner):
     def network(self) -> Network:
         """Return the actor as plain arrays."""
         layers = self._model.policy.actor_state.params["params"]
-        dense = [layers[f"Dense_{i}"] for i in range(len(self._recipe.net) + 1)]  # SAC's spread has one more
+        dense = [
+            layers[f"Dense_{i}"] for i in range(len(self._recipe.net) + 1)
+        ]  # SAC's standard deviation has one more
         return Network(
             [np.transpose(layer["kernel"]) for layer in dense],
             [np.asarray(layer["bias"]) for layer in dense],
@@ -94,7 +96,7 @@ class Learner(sb3.Learner):
         )
 
     def restore(self, path: Path) -> dict[str, Any]:
-        """Go on from what :meth:`rl.sb3.Learner.save` wrote, in new episodes; give what was saved beside it."""
+        """Go on from what :meth:`rl.sb3.Learner.save` wrote, in new episodes; return what was saved beside it."""
         beside = super().restore(path)
         self._model.policy.key = jax.random.fold_in(self._model.key, 0)  # which SAC explores with
         return beside

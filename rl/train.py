@@ -7,15 +7,12 @@ The linear learners lspi, qac-tuned and q-tuned take seconds and have no setting
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, wait
 from dataclasses import dataclass, field
 from importlib.util import find_spec
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from pathlib import Path
 from queue import Empty
 from types import MappingProxyType
@@ -31,22 +28,25 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 import dpend
 from dpend.rig import Rig
+from dpend.workers import pool
 
-from .deep import INSTALL, NEEDED, DeepRecipe, DeepTraining, Evaluation, train_deep
-from .gaussian_qac import GaussianQAC, TableOneMean
+from .deep import Evaluation, train_deep
 from .linear_q import LinearQLearning
 from .lspi import LSPI
 from .policies import Policy
+from .qac import GaussianQAC
+from .recipes import INSTALL, NEEDED, DeepRecipe
+from .training import Learner, Training
 
-LINEAR: Mapping[str, Callable[[Rig], LSPI | GaussianQAC | LinearQLearning]] = MappingProxyType(
+LINEAR: Mapping[str, Callable[[Rig], Learner]] = MappingProxyType(
     {"lspi": LSPI, "qac-tuned": GaussianQAC.tuned, "q-tuned": LinearQLearning.tuned}
 )
-"""The linear learners, in their tuned form; with seed 0 on gustafsson2016 each gives the policy shipped by its name."""
+"""The linear learners, in their tuned form; with seed 0 each makes the policy shipped by its name."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Seeds:
-    """What every learner can be told."""
+    """Options of every learner."""
 
     seed: int = 0
     """The first seed."""
@@ -69,7 +69,7 @@ class Seeds:
 
 @dataclass(frozen=True, kw_only=True)
 class DeepOptions(Seeds):
-    """What can be told of deep learners."""
+    """Options of deep learners."""
 
     recipe: OmitArgPrefixes[DeepRecipe]
     workers: int = 1
@@ -83,7 +83,7 @@ class DeepOptions(Seeds):
 
 @dataclass(frozen=True, kw_only=True)
 class LinearOptions(Seeds):
-    """What can be told of linear learners; their settings are their own."""
+    """Options of linear learners; their settings are their own."""
 
     algo: Literal["lspi", "qac-tuned", "q-tuned"]
     """The learner."""
@@ -100,9 +100,9 @@ _REGISTRY = ConstructorRegistry()
 
 
 @_REGISTRY.primitive_rule
-def _preset(told: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Rig] | None:
+def _preset(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Rig] | None:
     """Let the command line name a rig."""
-    if told.type is not Rig:
+    if info.type is not Rig:
         return None
     return PrimitiveConstructorSpec(
         nargs=1,
@@ -155,7 +155,6 @@ def _train_linear(options: LinearOptions, command: str, console: Console) -> lis
     policies: list[Policy] = []
     for seed in options.all:
         policy = learner.train(seed).policy
-        assert not isinstance(policy, TableOneMean)  # only the published learner ends so
         policy.about["command"] = command
         folder = (options.out or Path("results") / "linear" / options.algo) / f"seed-{seed}"
         folder.mkdir(parents=True, exist_ok=True)
@@ -168,7 +167,7 @@ def _train(options: DeepOptions, recipe: DeepRecipe, out: Path, command: str, co
     """Train all seeds, in this process or in several, with a progress bar for each."""
     folders = {seed: out / f"seed-{seed}" for seed in options.all}
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    done: dict[int, DeepTraining] = {}
+    done: dict[int, Training] = {}
     with Progress(*columns, console=console) as progress:
         bars = {seed: progress.add_task(f"{recipe.name}, seed {seed}", total=recipe.steps) for seed in folders}
 
@@ -182,42 +181,27 @@ def _train(options: DeepOptions, recipe: DeepRecipe, out: Path, command: str, co
                     recipe, seed, out=folder, command=command, progress=lambda seen, seed=seed: show(seed, seen)
                 )
         else:
-            context = get_context("spawn")
-            with context.Manager() as manager:
+            with get_context("spawn").Manager() as manager, pool(options.workers, recipe=recipe) as executor:
                 news: Any = manager.Queue()
-                pool = ProcessPoolExecutor(options.workers, mp_context=context, initializer=_follow_parent)
-                try:
-                    jobs = {
-                        seed: pool.submit(_train_one, recipe, seed, folder, command, news)
-                        for seed, folder in folders.items()
-                    }
-                    while True:
-                        finished, going = wait(jobs.values(), timeout=0.5, return_when=FIRST_EXCEPTION)
-                        _tell(news, show)
-                        if not going or any(job.exception() for job in finished):
-                            break
-                    done = {seed: job.result() for seed, job in jobs.items()}
-                except BaseException:
-                    processes = list(pool._processes.values())
-                    pool.shutdown(wait=False, cancel_futures=True)
-                    for process in processes:
-                        process.terminate()
-                    raise
-                pool.shutdown()
+                jobs = {
+                    seed: executor.submit(_train_one, recipe, seed, folder, command, news)
+                    for seed, folder in folders.items()
+                }
+                going = set(jobs.values())
+                while going:
+                    finished, going = wait(going, timeout=0.5, return_when=FIRST_EXCEPTION)
+                    _show(news, show)
+                    for job in finished:
+                        job.result()
+                done = {seed: job.result() for seed, job in jobs.items()}
     table = Table(
         "seed", "best after", "success" if not recipe.env else "mean return", "environment steps", "CPU s", "s"
     )
     for seed, training in done.items():
-        best, last = training.best, training.curve[-1]
-        score = f"{best.score:.1%}" if not recipe.env else f"{best.score:.0f}"
-        table.add_row(
-            str(seed),
-            f"{best.steps:,}",
-            score,
-            f"{last.steps:,}",
-            f"{last.cpu_seconds:.0f}",
-            f"{last.wall_seconds:.0f}",
-        )
+        curve, best = training.curve, training.details["best"]
+        score = f"{curve['score'][best]:.1%}" if not recipe.env else f"{curve['score'][best]:.0f}"
+        spent = f"{curve['steps'][-1]:,}", f"{curve['cpu_seconds'][-1]:.0f}", f"{curve['wall_seconds'][-1]:.0f}"
+        table.add_row(str(seed), f"{curve['steps'][best]:,}", score, *spent)
     Console().print(table)
     Console().print(f"Policies, curves and settings are in {out}/.", soft_wrap=True, highlight=False)
     return [training.policy for training in done.values()]
@@ -227,7 +211,7 @@ def _score(recipe: DeepRecipe, seen: Evaluation) -> str:
     return f"return {seen.score:.0f}" if recipe.env else f"{seen.success:.0%} succeed"
 
 
-def _tell(news: Any, show: Any) -> None:
+def _show(news: Any, show: Any) -> None:
     while True:
         try:
             show(*news.get_nowait())
@@ -235,21 +219,8 @@ def _tell(news: Any, show: Any) -> None:
             return
 
 
-def _train_one(recipe: DeepRecipe, seed: int, folder: Path, command: str, news: Any) -> DeepTraining:
+def _train_one(recipe: DeepRecipe, seed: int, folder: Path, command: str, news: Any) -> Training:
     return train_deep(recipe, seed, out=folder, command=command, progress=lambda seen: news.put((seed, seen)))
-
-
-def _follow_parent() -> None:
-    """Leave Ctrl-C to the parent, and end with it even where it is killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-
-    def end_with_parent() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 if __name__ == "__main__":

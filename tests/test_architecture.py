@@ -132,14 +132,17 @@ def inside(name: str) -> set[str]:
 @pytest.mark.parametrize(
     ("name", "allowed"),
     [
-        ("kernels", {"equations", "params", "provenance", "state", "status"}),
+        ("archive", set()),
+        ("episode", {"status"}),
+        ("kernels", {"episode", "equations", "params", "provenance", "state", "status"}),
         ("symbolic", {"equations", "params", "rig"}),
-        ("plant", {"equations", "params"}),
-        ("linear", {"params", "plant"}),
-        ("rig", {"params", "suggest"}),
+        ("plant", {"arguments", "equations", "params"}),
+        ("linear", {"arguments", "params", "plant"}),
+        ("rig", {"equations", "params", "suggest"}),
         ("tasks", {"arguments", "deprecation", "kernels", "params", "rig", "state", "suggest"}),
         ("stepper", {"kernels", "params", "rig", "state"}),
         ("controller", {"params"}),
+        ("workers", {"arguments"}),
     ],
 )
 def test_within_the_rig_each_module_knows_only_what_it_stands_on(name: str, allowed: set[str]) -> None:
@@ -152,18 +155,24 @@ def test_nothing_in_the_rig_knows_its_environments() -> None:
     assert not {name for name in users if name.startswith("dpend/")}
 
 
-def test_modules_of_the_rig_do_not_import_each_other_in_a_circle() -> None:
-    known: dict[str, set[str]] = {
-        name: {
-            each.module.replace(".", "/") + ".py" for each in imports(path) if each.at_once and "dpend." in each.module
+def test_no_modules_import_each_other_in_a_circle_now_or_later() -> None:
+    file_of = {name.removesuffix(".py").removesuffix("/__init__").replace("/", "."): name for name in SOURCES}
+
+    def needs(name: str) -> set[str]:
+        """Return the files that one imports: modules, or names of a package that are modules of it."""
+        named = {
+            module
+            for each in imports(SOURCES[name])
+            for module in ([f"{each.module}.{taken}" for taken in each.names] or [each.module])
         }
-        for name, path in SOURCES.items()
-        if name.startswith("dpend/")
-    }
+        found = {file_of.get(module) or file_of.get(module.rpartition(".")[0]) for module in named}
+        return {other for other in found if other is not None and not other.endswith("__init__.py")} - {name}
+
+    known = {name: needs(name) for name in SOURCES if not name.endswith("__init__.py")}
     while known:
-        free = {name for name, needs in known.items() if not needs & set(known)}
-        assert free, f"a circle among {sorted(known)}"
-        known = {name: needs for name, needs in known.items() if name not in free}
+        free = {name for name, others in known.items() if not others & set(known)}
+        assert free, f"a circle among {sorted(set(known) & set().union(*known.values()))}"
+        known = {name: others for name, others in known.items() if name not in free}
 
 
 def test_only_the_stepper_advances_the_plant_and_only_learners_and_planners_call_its_scalar_step() -> None:
@@ -189,7 +198,6 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "controllers/codegen.py",
         "controllers/shooting.py",
         "controllers/nmpc.py",
-        "controllers/switching.py",
     ),
     "matplotlib": ("dpend/draw.py", "studies/*"),
     "torch": ("rl/sb3.py", "rl/pilco.py"),
@@ -211,11 +219,30 @@ def test_a_heavy_library_stays_in_its_rooms(library: str) -> None:
     assert not astray
 
 
-def test_importing_the_rig_loads_nothing_heavy() -> None:
-    heavy = ("numba", "scipy", "control", "casadi", "matplotlib", "torch")
-    program = f"import sys, dpend; print([name for name in {heavy} if name in sys.modules])"
+@pytest.mark.parametrize(
+    ("statement", "heavy"),
+    [
+        ("import dpend", ("numba", "scipy", "control", "casadi", "matplotlib", "torch")),
+        ("from controllers import LQR; LQR('gustafsson2016')", ("numba", "control", "casadi", "matplotlib", "torch")),
+    ],
+)
+def test_what_is_light_loads_nothing_heavy(statement: str, heavy: tuple[str, ...]) -> None:
+    program = f"import sys; {statement}; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
+
+
+def test_a_name_is_exported_as_type_checkers_see_it() -> None:
+    module = importlib.import_module("controllers")
+    (seen,) = (node for node in tree(SOURCES["controllers/__init__.py"]).body if isinstance(node, ast.If))
+    imported = {name.name: node.module for node in seen.body if isinstance(node, ast.ImportFrom) for name in node.names}
+    assert imported == module._MODULES
+    assert set(imported) == set(module.__all__)
+
+
+def test_ilqr_is_the_function_whatever_has_been_imported() -> None:
+    function = importlib.import_module("controllers.ilqr").ilqr
+    assert importlib.import_module("controllers").ilqr is function
 
 
 def test_no_module_is_a_drawer_for_odds_and_ends() -> None:

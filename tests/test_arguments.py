@@ -59,7 +59,7 @@ def test_what_is_no_whole_number_or_too_small_is_refused_by_name(value):
         ),
         (lambda: ilqr(RIG, [0] * 6, tolerance=A), "tolerance must be finite and at least 0; got 'a'."),
         (lambda: EnergySwingUp(RIG, k_x=A), "k_x must be a finite number greater than 0; got 'a'."),
-        (lambda: EnergyPump(RIG, kick=A), "kick must be a finite force in N; got 'a'."),
+        (lambda: EnergyPump(RIG, perturbation=A), "perturbation must be a finite force in N; got 'a'."),
         (lambda: LQR(RIG, R=A), "R, the weight of the force, must be a finite number greater than 0; got 'a'."),
         (lambda: BangBang(LQR(RIG), A), "force must be finite and greater than 0 N; got 'a'."),
         (lambda: Constant(A), "force must be finite, in N; got 'a'."),
@@ -84,5 +84,5 @@ def test_a_word_where_a_number_belongs_is_refused_with_what_was_expected(make, m
 def test_numpys_whole_numbers_are_taken():
     number: Any = np.int32(7)
     assert NMPC(RIG, max_iterations=number).max_iterations == 7
-    assert ILQRMPC(RIG, horizon=number, iterations=number, starts=number).horizon == 7
+    assert ILQRMPC(RIG, iterations=number, starts=number).starts == 7
     assert LSPI(RIG, iterations=number).iterations == 7

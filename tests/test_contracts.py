@@ -15,7 +15,23 @@ from numpy.testing import assert_allclose, assert_array_equal
 import controllers
 import dpend
 import rl
-from controllers import EKF, LQR, BangBang, Constant, EnergyPump, LowPass, RateLimit, SwitchingController, WithEstimator
+from controllers import (
+    EKF,
+    ILQRMPC,
+    LQR,
+    SDRE,
+    UKF,
+    BangBang,
+    Constant,
+    Differences,
+    EnergyPump,
+    LowPass,
+    NearEnergy,
+    Predictor,
+    RateLimit,
+    SwitchingController,
+    WithEstimator,
+)
 from dpend import Controller, Rig
 from dpend.controller import check_controller, is_batched
 from dpend.params import Array
@@ -188,3 +204,110 @@ def test_it_drives_the_rig_it_was_made_for(controller: Controller, preset: str) 
     runs = dpend.simulate_many(rig, controller, x0, 3 * rig.sample_time)
     assert runs.success.all()
     assert np.isfinite(runs.u).all()
+
+
+def turned(y: Array) -> Array:
+    """Return measurements ``(samples, n, 6)`` with other whole turns at each."""
+    other = y.copy()
+    other[..., 1:3] += 2 * np.pi * np.random.default_rng(4).integers(-3, 4, (*y.shape[:2], 2))
+    return other
+
+
+def assert_same_forces(found: Array, expected: Array) -> None:
+    """Assert that forces agree to the rounding of a turn, which an unstable plant magnifies."""
+    assert_allclose(found, expected, rtol=0, atol=1e-6 * max(1.0, np.abs(expected).max()))
+
+
+OWN = [pair for pair in PAIRS if pair.values[0][0] in controllers.__all__ and pair.values[0][0] != "NMPC"]  # type: ignore[index,operator]
+
+
+@pytest.mark.parametrize("pair", OWN, indirect=True)
+def test_angles_that_differ_by_whole_turns_are_the_same_angles(controller: Controller) -> None:
+    for n in sizes(controller):
+        y = measurements(n, samples=6)
+        assert_same_forces(answers(controller, turned(y)), answers(controller, y))
+
+
+@pytest.mark.parametrize("pair", OWN, indirect=True)
+def test_whatever_is_measured_the_force_is_finite(controller: Controller) -> None:
+    for n in sizes(controller):
+        y = measurements(n, samples=8)
+        y[0, 0, 1] = y[3, -1] = y[5, 0, 0] = np.nan
+        y[4, 0, 4] = np.inf
+        assert np.isfinite(answers(controller, y)).all()
+
+
+# ---------------------------------------------------------------------------------------------- wrappers and estimators
+
+RIG = dpend.rig("gustafsson2016")
+LATE = RIG.replace(sensor_delay=1, actuator_delay=1, actuator_lag=0.01)
+WRAPPERS: dict[str, Callable[[Controller], Any]] = {
+    "BangBang": lambda law: BangBang(law, 10.0),
+    "LowPass": lambda law: LowPass(RIG, law, frequency=20.0),
+    "RateLimit": lambda law: RateLimit(RIG, law, 500.0),
+    **{
+        f"WithEstimator({kind.__name__})": lambda law, kind=kind: WithEstimator(kind(LATE), law)
+        for kind in (EKF, UKF, Differences, Predictor)
+    },
+}
+
+
+@pytest.mark.parametrize("wrap", WRAPPERS.values(), ids=WRAPPERS)
+@pytest.mark.parametrize("law", [SDRE(RIG), ILQRMPC(RIG, upright_only=True)], ids=["batched", "one by one"])
+def test_a_wrapper_passes_on_the_name_the_log_and_how_many_runs_are_treated_at_once(law: Any, wrap: Any) -> None:
+    wrapped = wrap(law)
+    assert wrapped.controller is law
+    assert wrapped.batched == is_batched(law)
+    assert law.name in wrapped.name
+    assert repr(wrapped) == f"<{wrapped.name}>"
+    x0 = np.zeros((2, 6))
+    x0[:, 1] = 0.05
+    log = dpend.simulate_many(RIG, wrapped, x0, 0.1).log
+    names = set(dpend.simulate_many(RIG, law, x0, 0.1).log)
+    assert set(log) == names
+    assert np.isfinite([log[name] for name in names]).all()
+
+
+def test_switching_logs_what_the_law_in_charge_logs_and_nothing_of_the_other() -> None:
+    planner = ILQRMPC(RIG, upright_only=True)
+    law = SwitchingController(
+        RIG, SDRE(RIG), planner, region=lambda x: np.abs(x[:, 1]) > 0.1, leave=lambda x: x[:, 1] < 0.1
+    )
+    nested = SwitchingController(RIG, law, SDRE(RIG), region=NearEnergy(RIG, 1e-9))
+    act = nested.start(1, np.random.default_rng(0))
+    for k, lean in enumerate((0.05, 0.2, 0.3, 0.05, 0.2)):
+        act(0.02 * k, np.array([[0, lean, 0.0, 0, 0, 0]]))
+    log = {name: np.ravel(entries) for name, entries in act.log.items()}  # type: ignore[attr-defined]
+    assert set(log) == {"caught", "first.caught", "kept", "status", "iterations", "cost"}
+    assert_array_equal(log["caught"], 0.0)
+    assert_array_equal(log["first.caught"], [0, 1, 1, 0, 1])
+    assert_array_equal(np.isfinite(log["kept"]), [True, False, False, True, False])
+    for name in ("status", "iterations", "cost"):
+        assert_array_equal(np.isfinite(log[name]), [False, True, True, False, True])
+
+
+@pytest.mark.parametrize("wrap", WRAPPERS.values(), ids=WRAPPERS)
+def test_whole_turns_and_missing_measurements_pass_through_a_wrapper(wrap: Any) -> None:
+    wrapped = wrap(LQR(RIG))
+    y = measurements(3, samples=12)
+    assert_same_forces(answers(wrapped, turned(y)), answers(wrapped, y))
+    broken = y.copy()
+    broken[0, 0], broken[4, 1, 1], broken[7, :, 2] = np.nan, np.inf, np.nan
+    act = wrapped.start(3, np.random.default_rng(0))
+    forces = np.array([act(0.02 * k, row) for k, row in enumerate(broken)])
+    assert np.isfinite(forces).all()
+    assert forces[0, 0] == 0.0
+    assert_array_equal(act.log["held"], ~np.isfinite(broken).all(axis=2))
+
+
+@pytest.mark.parametrize(
+    "law",
+    [LQR(RIG), SDRE(RIG), RateLimit(RIG, LQR(RIG), 1e9), SwitchingController(RIG, EnergyPump(RIG))],
+    ids=lambda law: law.name,
+)
+def test_the_last_finite_measurement_of_a_row_counts_for_one_that_is_missing(law: Any) -> None:
+    y = measurements(2, samples=4)
+    broken, repeated = y.copy(), y.copy()
+    broken[2, 1, 3] = np.nan
+    repeated[2, 1] = y[1, 1]
+    assert_array_equal(answers(law, broken), answers(law, repeated))

@@ -1,6 +1,7 @@
 # pyright: reportMissingImports=false
 """Deep learning: the adapter against the stepper, exported policies against their models, trainings that go on."""
 
+import json
 import subprocess
 import sys
 import time
@@ -13,8 +14,9 @@ import pytest
 
 import dpend
 from dpend.vector_env import CartDoublePendulumVectorEnv
-from rl import DeepRecipe, MLPPolicy, Network, load_policy, train_deep
-from rl.deep import DEFAULTS, INSTALL, NEEDED, evaluate, learner_class, read_curve, swing_up_starts, training_envs
+from rl import DeepLearner, DeepRecipe, MLPPolicy, Network, Outcome, load_policy, train_deep
+from rl.deep import Evaluation, evaluate, learner_class, read_curve, read_recipe, read_training, swing_up_starts
+from rl.recipes import DEFAULTS, INSTALL, NEEDED, OffPolicySettings, PPOSettings, training_envs
 from rl.shaping import observation_scales, observe
 from tests.rigs import whole
 
@@ -43,6 +45,14 @@ def small(algo="ppo", **changes):
     return DeepRecipe(**settings)
 
 
+def ppo(**settings) -> dict[str, Any]:
+    return {"ppo": PPOSettings(**settings)}
+
+
+def off_policy(**settings) -> dict[str, Any]:
+    return {"off_policy": OffPolicySettings(**settings)}
+
+
 def weights(training):
     assert isinstance(training.policy, MLPPolicy)
     return training.policy.network.weights
@@ -52,7 +62,7 @@ def weights(training):
 
 
 @pytest.mark.parametrize("algo", DEFAULTS)
-def test_a_recipe_takes_what_it_is_not_told_from_its_algorithm(algo):
+def test_a_recipe_takes_what_is_left_out_from_its_algorithm(algo):
     recipe = DeepRecipe(algo=algo)
     assert {name: getattr(recipe, name) for name in DEFAULTS[algo]} == DEFAULTS[algo]
     assert DeepRecipe(algo=algo, steps=7).steps == 7
@@ -91,7 +101,7 @@ def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_bala
         ({"gamma": 1.0}, "gamma must be between 0 and 1; got 1.0."),
         ({"net": ()}, "net must be one or more widths, at least 1; got ()."),
         ({"action_rate": -1.0}, "action_rate must be at least 0; got -1.0."),
-        ({"algo": "sac", "caps": (1.0, 1.0, 0.1)}, "caps is for PPO; got algo 'sac'. Use action_rate."),
+        ({"algo": "sac"} | ppo(caps=(1.0, 1.0, 0.1)), "caps is for PPO; got algo 'sac'. Use action_rate."),
         ({"period": 0.03}, "period must be a whole number of samples of 0.02 s; got 0.03 s."),
         (
             {"rig": RIG.replace(sensor_noise=0.1), "period": 0.04},
@@ -104,22 +114,118 @@ def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_bala
             "action_rate is for our own plant; got env 'InvertedDoublePendulum-v5'.",
         ),
         ({"sensor_noise": -0.1}, "sensor_noise must be at least 0; got -0.1."),
-        ({"first_actions": 0.0}, "first_actions must be above 0, at most 1; got 0.0."),
-        ({"first_actions": 0.1}, "first_actions is for DDPG, TD3 and SAC; got algo 'ppo'. Use noise."),
-        ({"episode": -1.0}, "episode must be at least 0; got -1.0."),
-        ({"target_kl": -0.01}, "target_kl must be at least 0; got -0.01."),
-        ({"algo": "sac", "target_kl": 0.02}, "target_kl is for PPO; got algo 'sac'."),
+        (off_policy(first_actions=0.1), "first_actions is for DDPG, TD3 and SAC; got algo 'ppo'. Use noise."),
+        ({"episode": 0.0}, "episode must be greater than 0; got 0.0."),
+        ({"period": 0.0}, "period must be a whole number of samples of 0.02 s; got 0 s."),
+        ({"steps": 0}, "steps must be a whole number, at least 1; got 0."),
+        ({"noise": 0.0}, "noise must be greater than 0; got 0.0."),
+        ({"learning_rate": (0.0, 0.0)}, "learning_rate must be two numbers above 0; got (0.0, 0.0)."),
+        ({"algo": "sac"} | ppo(target_kl=0.02), "target_kl is for PPO; got algo 'sac'."),
         ({"near": 0.2, "starts": "rest"}, "near is for mixed starts of the swing-up; got 'rest' of 'swing-up'."),
         ({"near": 0.2, "task": "balance"}, "near is for mixed starts of the swing-up; got 'mixed' of 'balance'."),
         ({"near": 0.0}, "near must be above 0, at most π/2; got 0.0."),
-        ({"library": "tensorflow"}, "There is no library 'tensorflow'. Known: jax, torch."),
-        ({"library": "jax"}, "library 'jax' is for DDPG, TD3 and SAC; got algo 'ppo'. Use library 'torch'."),
-        ({"mirror": True}, "mirror is for DDPG, TD3 and SAC, which learn from what they keep; got algo 'ppo'."),
+        (off_policy(library="jax"), "library is for DDPG, TD3 and SAC; got algo 'ppo'."),
+        (off_policy(mirror=True), "mirror is for DDPG, TD3 and SAC; got algo 'ppo'."),
+        (
+            {"algo": "sac", "env": "InvertedDoublePendulum-v5"} | off_policy(mirror=True),
+            "mirror is for our own plant; got env 'InvertedDoublePendulum-v5'.",
+        ),
     ],
 )
 def test_recipes_that_make_no_sense_are_refused(changes, message):
     with pytest.raises(ValueError, match=whole(message)):
         DeepRecipe(**changes)
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "message"),
+    [
+        (PPOSettings, {"target_kl": 0.0}, "target_kl must be greater than 0, or None; got 0.0."),
+        (PPOSettings, {"caps": (1.0, 1.0)}, "caps must be three numbers, at least 0; got (1.0, 1.0)."),
+        (OffPolicySettings, {"first_actions": 0.0}, "first_actions must be above 0, at most 1; got 0.0."),
+        (OffPolicySettings, {"library": "tensorflow"}, "There is no library 'tensorflow'. Known: jax, torch."),
+    ],
+)
+def test_settings_of_one_algorithm_that_make_no_sense_are_refused(kind, changes, message):
+    with pytest.raises(ValueError, match=whole(message)):
+        kind(**changes)
+
+
+def test_the_rig_comes_first_and_may_be_the_name_of_a_preset():
+    preset: Any = "pilco2011"
+    for kind in (DeepRecipe, DeepLearner):
+        assert kind(preset).rig == kind(dpend.rig("pilco2011"), algo="sac").rig == dpend.rig("pilco2011")
+
+
+def test_none_means_the_default_and_zero_means_zero():
+    left_out: Any = None
+    assert DeepRecipe(steps=left_out, noise=left_out).to_dict() == DeepRecipe().to_dict()
+    assert DeepRecipe(algo="ddpg", noise=0.0).noise == 0.0
+    assert DeepRecipe(enough=0.0).enough == 0.0
+    noisy = RIG.replace(sensor_noise=0.1)
+    for given, used in ((None, 0.1), (0.0, 0.0)):
+        envs = training_envs(DeepRecipe(noisy, sensor_noise=given, copies=2))
+        assert isinstance(envs, CartDoublePendulumVectorEnv)
+        assert envs.rig.sensor_noise == used
+
+
+@pytest.mark.parametrize(
+    "recipe",
+    [
+        DeepRecipe(**ppo(target_kl=0.02, caps=(1.0, 2.0, 0.1))),
+        DeepRecipe(
+            dpend.rig("pilco2011"), algo="sac", enough=0.0, **off_policy(library="jax", mirror=True, first_actions=0.1)
+        ),
+        DeepRecipe(algo="td3", env="InvertedDoublePendulum-v5"),
+    ],
+    ids=lambda recipe: recipe.name,
+)
+def test_a_recipe_comes_back_from_its_record(recipe):
+    record = json.loads(json.dumps(recipe.to_dict()))
+    assert DeepRecipe.from_dict(record).to_dict() == recipe.to_dict()
+    assert ("caps" in record) == (recipe.algo == "ppo") != ("mirror" in record)
+
+
+RUNS = sorted((ROOT / "docs/results/deep").glob("*/seed-*"))
+
+
+def test_a_record_from_before_none_meant_default_says_zero_where_it_means_none():
+    ages = set()
+    for folder in RUNS:
+        old, new = json.loads((folder / "recipe.json").read_text())["recipe"], read_recipe(folder).to_dict()
+        ages.add(len(old))
+        for name in new.keys() & old.keys():
+            told = json.loads(json.dumps(new[name]))
+            assert told == old[name] or (told is None and not np.any(old[name] or 0)), name
+    assert len(ages) >= 4
+
+
+def test_a_training_that_is_kept_reads_like_one_that_has_just_ended():
+    folder = next(folder for folder in RUNS if (folder / "policy.npz").exists())
+    training, curve = read_training(folder), read_curve(folder / "curve.csv")
+    np.testing.assert_array_equal(training.curve["success"], [seen.success for seen in curve])
+    assert training.curve["score"][training.details["best"]] == max(seen.score for seen in curve)
+    recipe = read_recipe(folder)
+    assert training.curve["experience"][-1] == pytest.approx(curve[-1].steps * recipe.period)
+    assert training.cost.steps * RIG.sample_time == pytest.approx(training.curve["experience"][-1])
+    assert training.converged == (recipe.enough is not None and curve[-1].success >= recipe.enough)
+    snapshot = training.snapshots(3)[-1]
+    assert snapshot.policy is training.policy
+    assert snapshot.experience == training.experience
+
+
+@pytest.mark.parametrize("name", ["caps", "mirror"])
+def test_settings_of_one_algorithm_are_still_taken_by_their_old_place_with_a_warning(name):
+    kind, holder, algo, value = (
+        (PPOSettings, "ppo", "ppo", (1.0, 1.0, 0.1))
+        if name == "caps"
+        else (OffPolicySettings, "off_policy", "sac", True)
+    )
+    given: dict[str, Any] = {name: value}
+    message = rf"^DeepRecipe\({name}=...\) is now called DeepRecipe\({holder}={kind.__name__}\({name}=...\)\);"
+    with pytest.warns(DeprecationWarning, match=message):
+        recipe = DeepRecipe(algo=algo, **given)
+    assert getattr(recipe, holder) == kind(**given)
 
 
 def test_half_the_swing_ups_start_hanging_and_half_to_the_side():
@@ -169,22 +275,22 @@ def test_the_adapter_gives_the_observations_and_rewards_of_its_equations(action_
     def seen(states, last):
         return observe(states, scales, last if action_rate else None).astype(np.float32)
 
-    def finals(told):
-        return np.stack([np.zeros(6) if y is None else y for y in told.get("final_obs", [None] * 8)])
+    def finals(said):
+        return np.stack([np.zeros(6) if y is None else y for y in said.get("final_obs", [None] * 8)])
 
     np.testing.assert_array_equal(o, seen(y, last))
     for _ in range(260):
         actions = rng.uniform(-1, 1, (8, 1)).astype(np.float32)
         o, rewards, dones, infos = copies.step(actions)
-        y, expected, terminated, truncated, told = envs.step(actions)
+        y, expected, terminated, truncated, said = envs.step(actions)
         a = actions[:, 0].astype(float)
-        cos1, cos2 = np.cos(np.where((terminated | truncated)[:, None], finals(told), y)[:, 1:3]).T
+        cos1, cos2 = np.cos(np.where((terminated | truncated)[:, None], finals(said), y)[:, 1:3]).T
         near = np.exp(-5.0 * (2.0 - cos1 - cos2))
         expected = expected - 0.005 * a**2 - 0.6 * action_rate * np.abs(a - last) * near
         np.testing.assert_allclose(rewards, expected, rtol=1e-6, atol=1e-6)
         np.testing.assert_array_equal(dones, terminated | truncated)
         for i in np.flatnonzero(dones):
-            final = seen(told["final_obs"][i][None], a[i : i + 1])[0]
+            final = seen(said["final_obs"][i][None], a[i : i + 1])[0]
             np.testing.assert_array_equal(infos[i]["terminal_observation"], final)
             assert infos[i]["TimeLimit.truncated"] == (truncated[i] and not terminated[i])
         last = np.where(dones, 0.0, a)
@@ -198,12 +304,12 @@ def test_the_adapter_gives_the_observations_and_rewards_of_its_equations(action_
     "recipe",
     [
         small("ppo"),
-        small("ppo", action_rate=0.1, caps=(1.0, 1.0, 0.1)),
+        small("ppo", action_rate=0.1, **ppo(caps=(1.0, 1.0, 0.1))),
         small("ddpg"),
-        small("td3", layer_norm=False),
+        small("td3", **off_policy(layer_norm=False)),
         small("sac"),
         *(
-            pytest.param(small(algo, library="jax"), marks=[needs_jax, pytest.mark.slow])
+            pytest.param(small(algo, **off_policy(library="jax")), marks=[needs_jax, pytest.mark.slow])
             for algo in ("ddpg", "td3", "sac")
         ),
     ],
@@ -220,7 +326,7 @@ def test_an_exported_policy_acts_as_its_model(recipe):
     assert np.ptp(of_model) > 1e-3
 
 
-@pytest.mark.parametrize(("episode", "seconds"), [(0.0, 10.0), (3.0, 3.0)])
+@pytest.mark.parametrize(("episode", "seconds"), [(None, 10.0), (3.0, 3.0)])
 def test_an_episode_is_cut_off_after_the_seconds_that_the_recipe_says(episode, seconds):
     recipe = DeepRecipe(algo="ddpg", episode=episode, copies=4)
     envs = training_envs(recipe)
@@ -236,7 +342,7 @@ def test_small_first_actions_begin_with_a_hundredth_of_the_force(algo, library):
     o = np.random.default_rng(0).normal(size=(300, 8)).astype(np.float32)
     plain, gentle = (
         np.arctanh(learner_class(recipe)(recipe, 0).act(o).astype(float))
-        for recipe in (small(algo, library=library), small(algo, library=library, first_actions=0.01))
+        for recipe in (small(algo, **off_policy(library=library, first_actions=first)) for first in (1.0, 0.01))
     )
     np.testing.assert_allclose(gentle - gentle.mean(), 0.01 * (plain - plain.mean()), atol=1e-4)
 
@@ -254,17 +360,17 @@ def test_a_quarter_of_the_starts_are_at_rest_and_as_near_upright_as_the_recipe_s
 
 
 @needs_torch
-@pytest.mark.parametrize(("target_kl", "epochs"), [(0.0, 4), (1e-9, 1)])
+@pytest.mark.parametrize(("target_kl", "epochs"), [(None, 4), (1e-9, 1)])
 def test_a_round_of_ppo_ends_where_it_has_gone_far_enough(target_kl, epochs):
     from rl.sb3 import Learner
 
-    learner = Learner(small(updates=4 / 64, target_kl=target_kl), 0)
+    learner = Learner(small(updates=4 / 64, **ppo(target_kl=target_kl)), 0)
     learner.learn(1024)
     assert learner._model._n_updates == epochs
 
 
 @needs_torch
-def test_the_price_of_changes_grows_in_the_first_half_of_the_steps():
+def test_the_weight_of_changes_grows_in_the_first_half_of_the_steps():
     from rl.sb3 import Learner
 
     learner = Learner(small("ddpg", action_rate=0.3), 0)
@@ -276,7 +382,7 @@ def test_the_price_of_changes_grows_in_the_first_half_of_the_steps():
 
 
 @needs_torch
-def test_noise_while_learning_is_on_what_is_seen_and_not_on_the_rig_that_judges():
+def test_noise_while_learning_is_on_what_is_seen_and_not_on_the_rig_of_evaluations():
     recipe = DeepRecipe(copies=2000, sensor_noise=0.01)
     assert recipe.rig == RIG
     envs = training_envs(recipe)
@@ -289,7 +395,7 @@ def test_noise_while_learning_is_on_what_is_seen_and_not_on_the_rig_that_judges(
 def test_mirrored_transitions_are_those_of_the_mirrored_plant():
     from rl.sb3 import Learner
 
-    learner = Learner(small("ddpg", mirror=True, copies=4), 0)
+    learner = Learner(small("ddpg", copies=4, **off_policy(mirror=True)), 0)
     learner.learn(200)
     buffer = learner._model.replay_buffer
     kept = {}
@@ -321,7 +427,7 @@ def test_caps_pairs_observations_with_those_that_follow_and_takes_both_losses_of
 
     from rl.sb3 import CAPSPolicy, Learner
 
-    learner = Learner(small("ppo", caps=(2.0, 0.0, 0.1)), 0)
+    learner = Learner(small("ppo", **ppo(caps=(2.0, 0.0, 0.1))), 0)
     model = learner._model
     learner.learn(1024)
     buffer = model.rollout_buffer
@@ -353,8 +459,8 @@ def test_caps_pairs_observations_with_those_that_follow_and_takes_both_losses_of
     [
         small(),
         small("sac"),
-        pytest.param(small("td3", library="jax"), marks=[needs_jax, pytest.mark.slow]),
-        pytest.param(small("sac", library="jax"), marks=[needs_jax, pytest.mark.slow]),
+        pytest.param(small("td3", **off_policy(library="jax")), marks=[needs_jax, pytest.mark.slow]),
+        pytest.param(small("sac", **off_policy(library="jax")), marks=[needs_jax, pytest.mark.slow]),
     ],
     ids=lambda recipe: f"{recipe.algo}-{recipe.library}",
 )
@@ -370,12 +476,14 @@ def test_a_training_that_was_stopped_goes_on_and_a_finished_one_is_left_as_it_is
     kept = read_curve(tmp_path / "curve.csv")
     assert [seen.steps for seen in kept] == [1024]
     training = train_deep(recipe, 0, out=tmp_path)
-    assert [seen.steps for seen in training.curve] == [1024, 2048]
-    assert training.curve[0].success == kept[0].success
-    assert training.curve[1].cpu_seconds > training.curve[0].cpu_seconds
+    assert list(training.curve["steps"]) == [1024, 2048]
+    assert training.curve["success"][0] == kept[0].success
+    assert training.curve["cpu_seconds"][1] > training.curve["cpu_seconds"][0]
+    assert [snapshot.experience for snapshot in training.snapshots(2)] == list(training.curve["experience"])
     content = (tmp_path / "checkpoint.pt").read_bytes()
     again = train_deep(recipe, 0, out=tmp_path)
-    assert repr(again.curve) == repr(training.curve)  # as words, since NaN differs from itself
+    for name in Evaluation._fields:
+        np.testing.assert_array_equal(again.curve[name], training.curve[name])
     assert (tmp_path / "checkpoint.pt").read_bytes() == content
     for mine, theirs in zip(weights(again), weights(training), strict=True):
         np.testing.assert_array_equal(mine, theirs)
@@ -387,7 +495,7 @@ def test_a_training_that_was_stopped_goes_on_and_a_finished_one_is_left_as_it_is
 def test_in_jax_the_rate_of_all_that_learns_falls_with_the_steps(algo):
     from rl.sb3_jax import Learner, _states
 
-    recipe = small(algo, library="jax", learning_rate=(1e-3, 1e-4))
+    recipe = small(algo, **off_policy(library="jax"), learning_rate=(1e-3, 1e-4))
     learner = Learner(recipe, 0)
     learner.learn(recipe.steps // 2)
     done = learner.steps / recipe.steps
@@ -400,7 +508,7 @@ def test_in_jax_the_rate_of_all_that_learns_falls_with_the_steps(algo):
 @needs_jax
 @pytest.mark.slow
 def test_sac_in_jax_that_goes_on_does_not_explore_as_it_did_the_first_time(tmp_path):
-    recipe = small("sac", library="jax")
+    recipe = small("sac", **off_policy(library="jax"))
     first, again = (learner_class(recipe)(recipe, 0) for _ in range(2))
     first.save(tmp_path / "checkpoint.pt", {"network": {}})
     again.restore(tmp_path / "checkpoint.pt")
@@ -432,8 +540,9 @@ def test_a_small_budget_learns_to_balance():
         task="balance", steps=1_000_000, copies=128, evaluate_every=100_000, evaluation_starts=100, enough=0.3
     )
     training = train_deep(recipe, 0)
-    assert training.curve[0].success < 0.1
-    assert training.best.success >= 0.3
+    assert training.curve["success"][0] < 0.1
+    assert training.curve["success"][training.details["best"]] >= 0.3
+    assert training.outcome is Outcome.CONVERGED
 
 
 # -------------------------------------------------------------------------------------------------------- without torch
@@ -457,7 +566,9 @@ def test_without_torch_training_says_what_to_install():
 
 
 def test_without_jax_training_in_it_says_what_to_install():
-    program = "import rl; rl.train_deep(rl.DeepRecipe(algo='ddpg', library='jax'))"
+    program = (
+        "import rl; rl.train_deep(rl.DeepRecipe(algo='ddpg', off_policy=rl.recipes.OffPolicySettings(library='jax')))"
+    )
     done = run_python(program, without=("sbx", "jax"))
     assert done.stderr.rstrip().splitlines()[-1] == f"ImportError: {INSTALL['jax']}"
 
@@ -472,35 +583,72 @@ def test_without_torch_the_command_line_says_what_to_install():
 def test_the_command_line_refuses_bad_settings_before_anything_runs(capsys):
     from rl import train
 
-    for told, message in (
+    for arguments, message in (
         (["--rig", "gustafson2016"], "There is no preset rig 'gustafson2016'."),
         (["--seeds", "0"], "--seeds must be at least 1; got 0."),
         (["--workers", "0"], "--workers must be at least 1; got 0."),
         (["--gamma", "1"], "gamma must be between 0 and 1; got 1.0."),
     ):
         with pytest.raises(SystemExit, match="2"):
-            train.main(told)
+            train.main(arguments)
         assert message in capsys.readouterr().err
 
 
-@needs_torch
 def test_the_command_line_states_a_recipe(monkeypatch):
     from rl import train
 
-    told = []
-    monkeypatch.setattr(train, "_train", lambda options, recipe, *_: told.append(recipe))
+    followed = []
+    monkeypatch.setattr(train, "_train", lambda options, recipe, *_: followed.append(recipe))
+    monkeypatch.setattr(train, "find_spec", lambda name: True)
     settings = ["--algo", "sac", "--rig", "pilco2011", "--net", "8", "9", "--learning-rate", "1e-3", "1e-4"]
     train.main([*settings, "--no-layer-norm"])
     expected = DeepRecipe(
-        algo="sac", rig=dpend.rig("pilco2011"), net=(8, 9), learning_rate=(1e-3, 1e-4), layer_norm=False
+        algo="sac", rig=dpend.rig("pilco2011"), net=(8, 9), learning_rate=(1e-3, 1e-4), **off_policy(layer_norm=False)
     )
-    assert told[0].to_dict() == expected.to_dict()
+    assert followed[0].to_dict() == expected.to_dict()
+    train.main(["--algo", "ppo", "--target-kl", "0.02", "--caps", "1", "2", "0.1", "--enough", "1"])
+    assert followed[1].to_dict() == DeepRecipe(enough=1.0, **ppo(target_kl=0.02, caps=(1.0, 2.0, 0.1))).to_dict()
+    train.main(["--algo", "ddpg", "--library", "jax", "--mirror", "--first-actions", "0.01", "--episode", "3"])
+    own = off_policy(library="jax", mirror=True, first_actions=0.01)
+    assert followed[2].to_dict() == DeepRecipe(algo="ddpg", episode=3.0, **own).to_dict()
+
+
+@needs_torch
+def test_a_deep_learner_is_a_learner_like_others():
+    learner = DeepLearner(RIG, **SMALL)
+    shares = []
+    training = learner.train([3, 1], seconds=1500 * learner.period, progress=shares.append)
+    assert list(training.curve["steps"]) == [1024]  # the rounds within the time
+    assert shares == [1.0, 1.0]
+    assert training.cost.steps == 1024 * learner.samples
+    latest = training.snapshots(5)[-1].policy
+    assert isinstance(latest, MLPPolicy)
+    assert (latest.network.weights[0] == weights(training)[0]).all()
+
+
+@pytest.mark.parametrize(
+    ("recipe", "seconds", "message"),
+    [
+        (small(), 1.0, "seconds must allow one round of 1024 environment steps, 40.96 s; got 1.0."),
+        (small(), -1.0, "seconds must be finite and at least one sample, 0.04 s; got -1.0."),
+        (
+            small("sac", env="InvertedDoublePendulum-v5"),
+            1.0,
+            "seconds is for our own plant; got env 'InvertedDoublePendulum-v5'.",
+        ),
+    ],
+)
+def test_a_time_that_allows_no_round_is_refused(recipe, seconds, message):
+    with pytest.raises(ValueError, match=whole(message)):
+        DeepLearner.train(recipe, 0, seconds=seconds)
 
 
 @needs_torch
 def test_a_training_ends_with_the_first_evaluation_that_is_good_enough():
-    assert len(train_deep(small(task="balance", enough=0.5), 0).curve) == 2
-    assert len(train_deep(small(task="balance", enough=1e-9), 0).curve) == 2
+    for enough, evaluations in ((0.999, 2), (0.0, 1)):
+        training = train_deep(small(task="balance", enough=enough), 0)
+        assert len(training.curve["steps"]) == evaluations
+        assert training.converged == (enough == 0.0)
 
 
 @needs_torch
@@ -565,5 +713,5 @@ def test_another_environment_is_learned_by_the_same_code(tmp_path):
     network = load_policy(tmp_path / "policy.npz")
     assert isinstance(network, Network)
     assert (network.inputs, network.outputs) == (9, 1)
-    assert training.best.score > 0
-    assert np.isnan(training.best.variation)
+    assert training.curve["score"][training.details["best"]] > 0
+    assert np.isnan(training.curve["variation"]).all()

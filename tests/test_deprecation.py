@@ -5,7 +5,7 @@ import pytest
 import controllers
 import dpend
 import dpend.tasks
-from controllers import LQR, RolloutRegion
+from controllers import LQR, BangBang, EnergyPump, EnergySwingUp, LowPass, RateLimit, RolloutRegion
 
 RIG = dpend.rig("gustafsson2016")
 
@@ -35,6 +35,11 @@ def test_an_export_is_found_by_its_old_name_with_a_warning(module, old, new):
         (lambda **keywords: dpend.SwingUp(**keywords or {"spread": 0.3}), "spread", "angle_spread"),
         (lambda **keywords: LQR(RIG, **keywords or {"about": "down-up"}), "about", "target"),
         (lambda **keywords: RolloutRegion(RIG, LQR(RIG), **keywords or {"about": "up-up"}), "about", "target"),
+        (lambda **keywords: BangBang(force=1.0, **keywords or {"inner": LQR(RIG)}), "inner", "controller"),
+        (lambda **keywords: RateLimit(RIG, rate=1.0, **keywords or {"inner": LQR(RIG)}), "inner", "controller"),
+        (lambda **keywords: LowPass(RIG, frequency=1.0, **keywords or {"inner": LQR(RIG)}), "inner", "controller"),
+        (lambda **keywords: EnergyPump(RIG, **keywords or {"kick": 3.0}), "kick", "perturbation"),
+        (lambda **keywords: EnergySwingUp(RIG, **keywords or {"kick": 3.0}), "kick", "perturbation"),
     ],
 )
 def test_an_argument_is_taken_and_read_by_its_old_name_with_a_warning(build, old, new):

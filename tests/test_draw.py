@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import base64
 import importlib
+import io
 import math
 import shutil
 import subprocess
 import sys
 import types
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -328,6 +331,69 @@ def test_a_figure_shows_every_state_and_the_held_force(run: Run) -> None:
 
 def test_a_figure_says_who_ran_and_how_it_ended(run: Run) -> None:
     assert run.plot().get_suptitle() == "LQR\nThe run reached its full length."
+
+
+@pytest.mark.parametrize(
+    ("changes", "title"),
+    [
+        ({}, "LQR\nThe run reached its full length."),
+        ({"time_up": 0.345}, "LQR\nThe run reached its full length.\nSuccess: both links up after 0.34 s."),
+        ({"success": False}, "LQR\nThe run reached its full length.\nNo success."),
+        ({"success": False, "task": "None"}, "LQR\nThe run reached its full length."),
+    ],
+)
+def test_a_title_says_whether_a_task_was_done_and_since_when_both_links_were_up(
+    run: Run, changes: dict[str, Any], title: str
+) -> None:
+    assert plot_run(replace(run, **changes)).get_suptitle() == title
+
+
+def test_pushes_are_drawn_where_there_were_any(run: Run) -> None:
+    shoved = replace(run, log={"push_cart": np.zeros(30), "push_link2": np.linspace(0.0, 1.0, 30)})
+    axes = plot_run(shoved).axes
+    assert len(axes) == 6
+    assert axes[5].get_ylabel() == "pushes"
+    assert list(labelled(axes[5])) == ["on link 2 [N m]"]
+    np.testing.assert_array_equal(axes[5].patches[0].get_data()[0], shoved.log["push_link2"])  # pyright: ignore[reportAttributeAccessIssue]
+    assert len(plot_run(replace(run, log={"push_cart": np.zeros(30)})).axes) == 5
+
+
+def test_notebooks_show_figures_runs_rigs_and_films(run: Run, tmp_path: Path) -> None:
+    picture = run.plot()._repr_png_()
+    assert Image.open(io.BytesIO(picture)).format == "PNG"
+    named = replace(run, controller="a < b")._repr_html_()
+    assert "<p>a &lt; b<br>The run reached its full length.<br>0.6 s on" in named
+    assert "data:image/png;base64," in named
+    assert "<tr><th>mass1</th><td>0.5</td><td>kg</td></tr>" in RIG._repr_html_()
+    film = run.animate(tmp_path / "run.gif", fps=5)
+    assert base64.b64encode(film.read_bytes()).decode() in film._repr_html_()
+    assert film._repr_html_().startswith('<img src="data:image/gif;base64,')
+    assert film == tmp_path / "run.gif"
+
+
+def test_show_opens_a_window_and_closes_with_it(pyplot: Any, run: Run) -> None:
+    matplotlib.use("module://pretended_windows")
+    run.show()
+    np.testing.assert_array_equal(shown(pyplot), np.asarray(Image.open(io.BytesIO(run.plot()._repr_png_())))[..., :3])
+
+
+def test_show_without_a_window_says_how_to_keep_the_figure(pyplot: Any, run: Run) -> None:
+    with pytest.warns(
+        UserWarning, match=whole("There is no window to show the figure in; figure.savefig(path) writes it.")
+    ):
+        run.show()
+    run.plot().show(warn=False)
+    assert pyplot.get_fignums() == []
+
+
+def test_show_displays_in_a_notebook(monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
+    displayed: list[object] = []
+    kernel = types.SimpleNamespace(kernel=None)
+    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: kernel))  # pyright: ignore
+    monkeypatch.setitem(sys.modules, "IPython.display", types.SimpleNamespace(display=displayed.append))  # pyright: ignore
+    figure = run.plot()
+    figure.show()
+    assert displayed == [figure]
 
 
 def test_lines_are_told_apart_without_color(run: Run) -> None:

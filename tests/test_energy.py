@@ -97,7 +97,7 @@ def test_holding_the_force_lets_v_rise() -> None:
     assert rises(0.02) > 0.01
 
 
-def test_the_carts_answer_to_force_is_least_with_both_links_level() -> None:
+def test_the_carts_answer_to_force_is_least_with_both_links_horizontal() -> None:
     for rig in plants(5):
         c = rig.params.coefficients()
         x = np.zeros((2000, 6))
@@ -154,8 +154,8 @@ def test_mirrored_state_mirrored_force(kind: type[EnergySwingUp] | type[EnergyPu
 
 
 @pytest.mark.parametrize("kind", [EnergySwingUp, EnergyPump])
-def test_hanging_at_rest_it_is_woken_once(kind: type[EnergySwingUp] | type[EnergyPump]) -> None:
-    law = kind("gustafsson2016", kick=3.0)
+def test_hanging_at_rest_it_is_perturbed_once(kind: type[EnergySwingUp] | type[EnergyPump]) -> None:
+    law = kind("gustafsson2016", perturbation=3.0)
     act = law.start(2, np.random.default_rng(0))
     y = np.array([dpend.EQUILIBRIA["down-down"], [0, np.pi / 2, np.pi / 2, 0, 0, 0]])
     assert_allclose(act(0.0, y), [3.0, law.force(y)[1]])
@@ -175,8 +175,8 @@ def test_pumping_brings_the_energy_up_within_the_limits_of_the_rig() -> None:
 def test_wrong_use_is_refused(kind: type[EnergySwingUp] | type[EnergyPump]) -> None:
     with pytest.raises(ValueError, match=whole("k_x must be a finite number greater than 0; got 0.")):
         kind("gustafsson2016", k_x=0)
-    with pytest.raises(ValueError, match=whole("kick must be a finite force in N; got inf.")):
-        kind("gustafsson2016", kick=np.inf)
+    with pytest.raises(ValueError, match=whole("perturbation must be a finite force in N; got inf.")):
+        kind("gustafsson2016", perturbation=np.inf)
     with pytest.raises(
         ValueError,
         match=whole(f"{kind.__name__} takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i)."),

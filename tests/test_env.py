@@ -77,8 +77,9 @@ class Still:
 
 @pytest.mark.parametrize("name", IDS)
 @pytest.mark.parametrize("forces", [None, [-20.0, 0.0, 20.0]])
-@pytest.mark.parametrize("observation", ["raw", "trig"])
-def test_gymnasiums_checker_finds_nothing_to_warn_of(
+@pytest.mark.parametrize("observation", ["raw", "trig", "scaled"])
+@pytest.mark.filterwarnings("ignore:.*A Box observation space (min|max)imum value is -?infinity")
+def test_gymnasiums_checker_warns_of_nothing_but_that_positions_and_rates_are_unlimited(
     name: str, forces: list[float] | None, observation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
@@ -205,8 +206,8 @@ def test_every_observation_is_in_its_space_and_every_sample_of_the_space_is_fini
     assert np.isfinite(env.observation_space.sample()).all()
 
 
-def test_the_reward_is_minus_the_cost_of_the_true_state_after_the_step() -> None:
-    env = balance(RIG.replace(sensor_noise=0.1), state_weights=(1.0, 2.0, 3.0), failure_cost=5.0)
+def test_the_reports_reward_is_minus_the_cost_of_the_true_state_after_the_step() -> None:
+    env = balance(RIG.replace(sensor_noise=0.1), reward="report", state_weights=(1.0, 2.0, 3.0), failure_cost=5.0)
     env.reset(seed=0)
     terminated = False
     while not terminated:
@@ -216,7 +217,7 @@ def test_the_reward_is_minus_the_cost_of_the_true_state_after_the_step() -> None
 
 
 def test_the_cost_of_an_angle_is_that_of_its_difference_to_the_nearest_turn() -> None:
-    env = swing_up(endless(force_limit=1.0))
+    env = swing_up(endless(force_limit=1.0), reward="report")
     env.reset(options={"x0": [0, 4 * np.pi + 0.1, -2 * np.pi - 0.2, 0, 0, 0]})
     _, reward, *_, info = env.step(np.zeros(1))
     _, th1, th2, *_ = info["state"] - [0, 4 * np.pi, -2 * np.pi, 0, 0, 0]
@@ -420,7 +421,7 @@ def _stepped(env: CartDoublePendulumEnv, action: Any) -> None:
             lambda: swing_up(lam=0.2),
             TypeError,
             "A SwingUp environment has no parameter 'lam'. Known: angle_spread, failure_cost, forces, hold, "
-            "observation, render_mode, rig, start, state_weights, steps, target, upright_angle.",
+            "observation, render_mode, reward, rig, start, state_weights, steps, target, upright_angle.",
         ),
         (
             lambda: balance(lam=0),
@@ -467,7 +468,11 @@ def _stepped(env: CartDoublePendulumEnv, action: Any) -> None:
             "forces must be two or more finite numbers in N, within the force limit of 40 N; got ['left', 'right']. "
             "More than the limit is never applied.",
         ),
-        (lambda: balance(observation="cos"), ValueError, 'observation must be "raw" or "trig"; got \'cos\'.'),
+        (
+            lambda: balance(observation="cos"),
+            ValueError,
+            'observation must be "raw", "trig" or "scaled"; got \'cos\'.',
+        ),
         (
             lambda: balance(render_mode="ansi"),
             ValueError,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -10,7 +11,8 @@ import casadi
 import numba
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 from rigs import endless, forces, plants, random_forces, random_params, random_states, row, states, whole
@@ -165,6 +167,30 @@ def test_friction_of_joint_2_vanishes_when_the_links_turn_together() -> None:
     assert_allclose(
         dpend.rates(apart, 0.0, stiff), dpend.rates(apart, np.array([0.0, -torque, torque]), params), rtol=1e-12
     )
+
+
+@given(plants(friction=False), st.floats(0.5, 50.0), st.floats(0.0, 100.0), st.floats(0.0, 20.0), st.floats(0.1, 1.0))
+@settings(max_examples=50, deadline=None)
+def test_energy_never_rises_under_friction_however_stiff(
+    params: Params, coulomb: float, viscous: float, joint: float, speed: float
+) -> None:
+    params = replace(params, cart_coulomb=coulomb, cart_friction=viscous, joint2_friction=joint)
+    stepper = Stepper(endless(params=params, sample_time=0.02, substeps=2), 1)
+    stepper.reset([0, np.pi, np.pi, speed, 0, 0])
+    total = [dpend.energies(stepper.x[0], params).total]
+    for _ in range(150):
+        stepper.step(np.zeros(1))
+        total.append(dpend.energies(stepper.x[0], params).total)
+    assert np.diff(total).max() <= 1e-5 * speed**2
+
+
+@pytest.mark.parametrize("name", ["gustafsson2016", "pilco2011"])
+def test_a_cart_with_coulomb_friction_comes_to_rest(name: str) -> None:
+    stepper = Stepper(endless(name, cart_coulomb=5.0, joint1_friction=1.0, joint2_friction=1.0, sensor_noise=0.0), 1)
+    stepper.reset([0, np.pi + 0.5, np.pi, 1.0, 0, 0])
+    for _ in range(round(40 / stepper.rig.sample_time)):
+        stepper.step(np.zeros(1))
+    assert np.abs(stepper.x[0, 3:]).max() < 1e-3
 
 
 def test_energy_is_conserved_without_friction() -> None:
@@ -447,7 +473,7 @@ def test_the_reference_takes_generalised_forces_and_refuses_another_number_of_th
     for _ in range(50):
         steps = _numpy_rk4(steps, f[0], params.coefficients(), 0.001)
     assert_allclose(end, steps, rtol=0, atol=1e-11)
-    with pytest.raises(ValueError, match=whole("Expected one force for each of the 2 intervals; got 1.")):
+    with pytest.raises(ValueError, match=whole("Expected one force, or three, for each of 2 intervals; got (1,).")):
         dpend.reference(params, np.zeros(6), [1.0], [0.0, 0.1, 0.2])
 
 
@@ -496,3 +522,71 @@ def test_a_column_of_forces_is_refused() -> None:
     message = "Expected forces on the cart of shape (4,), or generalised forces of shape (4, 3); got shape (4, 1)."
     with pytest.raises(ValueError, match=whole(message)):
         dpend.rates(np.zeros((4, 6)), np.zeros((4, 1)), dpend.rig("gustafsson2016").params)
+
+
+# ------------------------------------------------------------------------------------------------------------ odd input
+
+UP = np.zeros(6)
+PLANT = dpend.rig("gustafsson2016").params
+ODD = ["abc", ["a"] * 6, [[1, 2], [3]], None, np.datetime64("2020-01-01"), [None] * 6, {}, b"x", [True] * 6]
+CALLS: dict[str, Callable[[Any], object]] = {
+    "states of rates": lambda odd: dpend.rates(odd, 0.0, PLANT),
+    "forces of rates": lambda odd: dpend.rates(UP, odd, PLANT),
+    "plant of rates": lambda odd: dpend.rates(UP, 0.0, odd),
+    "states of positions": lambda odd: dpend.positions(odd, PLANT),
+    "plant of positions": lambda odd: dpend.positions(UP, odd),
+    "states of energies": lambda odd: dpend.energies(odd, PLANT),
+    "plant of energies": lambda odd: dpend.energies(UP, odd),
+    "force of linearize": lambda odd: dpend.linearize(PLANT, UP, odd),
+    "matrix A": lambda odd: dpend.discretize(odd, UP[:, None], 0.1),
+    "matrix B": lambda odd: dpend.discretize(np.eye(6), odd, 0.1),
+    "sample time": lambda odd: dpend.discretize(np.eye(6), UP[:, None], odd),
+    "start of the reference": lambda odd: dpend.reference(PLANT, odd, [0.0], [0.0, 0.1]),
+    "forces of the reference": lambda odd: dpend.reference(PLANT, UP, odd, [0.0, 0.1]),
+    "times of the reference": lambda odd: dpend.reference(PLANT, UP, [0.0], odd),
+    "tolerance of the reference": lambda odd: dpend.reference(PLANT, UP, [0.0], [0.0, 0.1], rtol=odd),
+}
+
+
+@pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
+@pytest.mark.parametrize("odd", ODD, ids=repr)
+def test_what_is_no_number_is_refused_by_the_function_that_was_called(call: Callable[[Any], object], odd: Any) -> None:
+    with pytest.raises((TypeError, ValueError)) as refusal:
+        call(odd)
+    assert "/dpend/" in str(refusal.traceback[-1].path)
+
+
+def test_refusals_say_what_was_expected_and_what_came() -> None:
+    message = "x must be numbers: states (..., 6); got ['a', 'b']."
+    with pytest.raises(TypeError, match=whole(message)):
+        dpend.rates(["a", "b"], 0.0, PLANT)
+    with pytest.raises(TypeError, match=whole("rates takes dpend.Params, such as rig.params; got Rig.")):
+        dpend.rates(UP, 0.0, dpend.rig("gustafsson2016"))  # pyright: ignore[reportArgumentType]
+    message = "States of shape (4, 6) and forces of shape (3,) do not broadcast for one plant."
+    with pytest.raises(ValueError, match=whole(message)):
+        dpend.rates(np.zeros((4, 6)), np.zeros(3), PLANT)
+    message = "States of shape (4, 6) do not broadcast for 2 plants."
+    with pytest.raises(ValueError, match=whole(message)):
+        dpend.energies(np.zeros((4, 6)), replace(PLANT, mass1=np.array([1.0, 2.0])))
+
+
+@pytest.mark.parametrize(
+    ("x0", "u", "t", "message"),
+    [
+        (UP, [np.nan], [0, 1], "u must be finite: one force, or three, for each interval; got [nan]."),
+        ([0, np.inf, 0, 0, 0, 0], [0], [0, 1], "x0 must be finite: a state (6,); got [0, inf, 0, 0, 0, 0]."),
+        (UP[:4], [0.0], [0, 1], "x0 must be one state of shape (6,); got shape (4,)."),
+        (UP, [0.0], [1, 0], "t must be increasing times of shape (T + 1,), s; got [1, 0]."),
+    ],
+)
+def test_the_reference_refuses_what_it_cannot_integrate(x0: Any, u: Any, t: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=whole(message)):
+        dpend.reference(PLANT, x0, u, t)
+
+
+@pytest.mark.parametrize("size", [1e6, 1e200])
+def test_the_reference_does_not_chase_a_motion_beyond_reason(size: float) -> None:
+    with pytest.raises(
+        RuntimeError, match=r"(?s)^The reference cannot follow the motion from 0 s to 1 s, .* larger\.$"
+    ):
+        dpend.reference(PLANT, np.full(6, size), [0.0], [0.0, 1.0])

@@ -115,7 +115,7 @@ def test_for_small_errors_the_two_filters_agree() -> None:
 
 
 @pytest.mark.parametrize("kind", FILTERS)
-def test_measured_rates_are_not_looked_at(kind: type[EKF] | type[UKF]) -> None:
+def test_measured_rates_are_not_used(kind: type[EKF] | type[UKF]) -> None:
     _, y, u = noisy_runs(endless(), np.zeros(3), 2, 10)
     other = y.copy()
     other[..., 3:] = 1e3
@@ -153,13 +153,65 @@ def test_what_is_lost_begins_again(kind: type[EKF] | type[UKF]) -> None:
     follow, _ = kind(RIG).follow_closely(2)
     y = np.zeros((2, 6))
     follow(y, np.zeros(2))
-    y[0, 1] = 1e5  # a jump that no plant makes, so far that the model runs away from it
+    y[0, 0] = 1e5  # a jump that no plant makes, so far that the model runs away from it
     for _ in range(5):
         assert np.isfinite(follow(y, np.zeros(2))).all()
-    y[0, 1] = 0.0
+    y[0, 0] = 0.0
     told = [follow(y, np.zeros(2)) for _ in range(50)][-1]
     assert_allclose(told[1], 0.0, atol=1e-9)
     assert_allclose(told[0, :3], 0.0, atol=1e-3)
+
+
+# ----------------------------------------------------------------------------------- absolute encoders, missing samples
+
+
+def test_differences_take_an_angle_by_the_shorter_way_round() -> None:
+    follow = Differences(RIG).follow(1)
+    rates = np.array([0.5, 40.0, -25.0])
+    for k in range(30):
+        y = np.append(0.1 + rates * k * RIG.sample_time, np.zeros(3))[None]
+        estimate = follow(dpend.nearest_upright(y), np.zeros(1))
+    assert_allclose(estimate[0, 3:], rates, rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", FILTERS)
+def test_from_absolute_encoders_a_filter_believes_the_same_up_to_whole_turns(kind: type[EKF] | type[UKF]) -> None:
+    rig = endless(sensor_noise=(1e-3, 2e-3, 2e-3, 0, 0, 0))
+    _, y, u = noisy_runs(rig, np.zeros(3), 5, 100)
+    encoded = dpend.nearest_upright(y)
+    assert np.abs(np.diff(encoded[..., 1:3], axis=0)).max() > 6  # it hangs just where they jump
+    mean, covariance = followed(kind(rig), y, u)
+    other, its_covariance = followed(kind(rig), encoded, u)
+    turns = (mean - other)[:, 1:3] / (2 * np.pi)
+    assert_allclose(turns, np.rint(turns), atol=1e-6)
+    assert_allclose(other[:, 3:], mean[:, 3:], atol=1e-6)
+    assert_allclose(its_covariance, covariance, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", FILTERS)
+def test_where_a_measurement_is_missing_a_filter_predicts(kind: type[EKF] | type[UKF]) -> None:
+    rig = endless(sensor_noise=1e-3)
+    x, y, u = noisy_runs(rig, np.zeros(3), 3, 30)
+    whole_mean, _ = followed(kind(rig), y, u)
+    broken = y.copy()
+    broken[0, 0], broken[20:, 1, 2] = np.nan, np.inf
+    mean, covariance = followed(kind(rig), broken, u)
+    error = np.abs(mean - x[-1])
+    _, certain = followed(kind(rig), y, u)
+    assert_array_equal(mean[2], whole_mean[2])  # a row is not touched by what another lacks
+    assert (error[:2] < 5 * np.sqrt(np.diagonal(covariance[:2], axis1=1, axis2=2))).all()
+    assert np.trace(covariance[1]) > 2 * np.trace(certain[1])
+
+
+def test_a_prediction_goes_on_by_the_plants_own_step_where_a_measurement_is_missing() -> None:
+    rig = endless(sensor_delay=1, actuator_delay=1)
+    _, y, u = noisy_runs(rig, np.zeros(3), 2, 12)
+    broken = y.copy()
+    broken[[5, 6, 9], 0, 4] = np.nan
+    whole_run, with_gaps = Predictor(rig).follow(2), Predictor(rig).follow(2)
+    for k in range(12):
+        given = u[k - 1] if k else np.zeros(2)
+        assert_allclose(with_gaps(broken[k], given), whole_run(y[k], given), rtol=1e-9, atol=1e-12)
 
 
 # ---------------------------------------------------------------------------------------------------------------- delay

@@ -7,9 +7,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 import dpend
-from rl import GainPolicy, GaussianQAC, Outcome
+from rl import GainPolicy, GaussianQAC, NaturalQAC, Outcome, TableOneMean
 from rl.features import make_value_features, slope_features
-from rl.gaussian_qac import _STREAM, Deviations, TableOneMean, _Critic, ablations
+from rl.natural_qac import _Critic, ablations
+from rl.qac import _STREAM
 from tests.rigs import whole
 
 RIG = dpend.rig("gustafsson2016")
@@ -25,7 +26,7 @@ def indicators(x, kind):
 
 def algorithm_2(learner, seed, episodes):
     """The report's Algorithm 2 over the stepper, step by step as printed."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
     stepper, task, sigma = dpend.Stepper(learner.rig, 1), learner.task, learner.sigma
 
     def phi(s):
@@ -35,7 +36,7 @@ def algorithm_2(learner, seed, episodes):
         return np.array([*phi(s), *(a * slope for slope in slope_features(s))])
 
     m = len(phi(np.zeros(6)))
-    v, w = learner.spread * rng.standard_normal(m), learner.spread * rng.standard_normal(m + 6)
+    v, w = learner.init_std * rng.standard_normal(m), learner.init_std * rng.standard_normal(m + 6)
     lengths = []
     for _ in range(episodes):
         th1, th2 = (task.lam * rng.uniform(-1, 1) for _ in range(2))
@@ -61,8 +62,8 @@ def algorithm_2(learner, seed, episodes):
     "learner",
     [
         GaussianQAC.published(RIG, alpha=1e-5, beta=1e-5, variance=10.0),
-        GaussianQAC.published(RIG, alpha=1e-5, beta=1e-4, variance=1.0, spread=0.1, indicators="signs"),
-        GaussianQAC.published(RIG, alpha=1e-6, beta=1e-5, variance=100.0, spread=3.0, indicators="cells"),
+        GaussianQAC.published(RIG, alpha=1e-5, beta=1e-4, variance=1.0, init_std=0.1, indicators="signs"),
+        GaussianQAC.published(RIG, alpha=1e-6, beta=1e-5, variance=100.0, init_std=3.0, indicators="cells"),
         GaussianQAC(RIG, task=dpend.Balance(failure_cost=3.0, state_weights=(1, 2, 3)), sigma=30.0, beta=1e-6),
     ],
     ids=["published", "signs", "cells", "saturating"],
@@ -70,9 +71,9 @@ def algorithm_2(learner, seed, episodes):
 def test_the_compiled_loop_does_what_algorithm_2_says(learner):
     v, w, lengths = algorithm_2(learner, 5, 4)
     training = replace(learner, max_episodes=4).train(5)
-    assert list(training.lengths) == lengths
-    assert_allclose(training.v, v, rtol=1e-6, atol=1e-9 * np.abs(v).max())
-    assert_allclose(training.w, w, rtol=1e-6, atol=1e-9 * np.abs(w).max())
+    assert list(training.curve["length"]) == lengths
+    assert_allclose(training.details["v"], v, rtol=1e-6, atol=1e-9 * np.abs(v).max())
+    assert_allclose(training.details["w"], w, rtol=1e-6, atol=1e-9 * np.abs(w).max())
 
 
 def test_the_score_function_has_zero_mean_and_fishers_matrix_is_its_second_moment():
@@ -91,7 +92,7 @@ def test_the_gradient_in_closed_form_is_the_mean_of_the_sampled_one():
     z = np.column_stack([s, s @ v + sigma * rng.standard_normal(n)])
     for critic in ("quadratic", "table 1"):
         closed, sampled = (
-            _Critic(Deviations(critic=critic, closed_form=form, natural=False), 0.0) for form in (True, False)
+            _Critic(NaturalQAC(RIG, critic=critic, closed_form=form, natural=False)) for form in (True, False)
         )
         closed.w[:] = sampled.w[:] = 0.1 * rng.normal(size=len(closed.w))
         exact, drawn = closed.gradient(z, v, sigma, n), sampled.gradient(z, v, sigma, n)
@@ -101,7 +102,7 @@ def test_the_gradient_in_closed_form_is_the_mean_of_the_sampled_one():
 def test_the_natural_gradient_undoes_fishers_matrix():
     rng = np.random.default_rng(2)
     z, v = rng.normal(size=(500, 7)) * np.array([1, 5, 0.2, 3, 1, 1, 1]), rng.normal(size=6)
-    natural, plain = (_Critic(Deviations(natural=natural), 0.0) for natural in (True, False))
+    natural, plain = (_Critic(NaturalQAC(RIG, natural=natural)) for natural in (True, False))
     natural.w[:] = plain.w[:] = rng.normal(size=29)
     fisher = z[:, :6].T @ z[:, :6] / len(z)
     assert_allclose(fisher @ natural.gradient(z, v, 0.3, 10), plain.gradient(z, v, 0.3, 10))
@@ -119,7 +120,7 @@ def test_the_critic_finds_the_exact_q_of_a_noisy_linear_policy():
         H, constant = np.diag([*np.diag(Q), 1.0]) + gamma * AB.T @ P @ AB, gamma * (constant + sigma**2 * H[6, 6])
     assert np.abs(np.linalg.eigvals(F)).max() < 1.1
     z = rng.normal(size=(800, 7))
-    critic = _Critic(Deviations(), 0.0)
+    critic = _Critic(NaturalQAC(RIG))
     cost = np.einsum("ij,jk,ik->i", z[:, :6], Q, z[:, :6]) + z[:, 6] ** 2
     critic.learn(z, z @ AB.T, np.ones(800, dtype=np.bool_), cost, v, sigma, gamma, 800)
     q = critic.features(z) @ critic.w
@@ -131,13 +132,13 @@ def test_the_critic_finds_the_exact_q_of_a_noisy_linear_policy():
 def test_as_published_with_large_steps_the_weights_overflow_and_with_small_ones_nothing_is_learned():
     diverged = GaussianQAC.published(RIG, alpha=1e-2, beta=1e-2).train(0)
     assert diverged.outcome is Outcome.DIVERGED
-    assert np.isfinite(diverged.v).all()
-    assert np.isfinite(diverged.w).all()
+    assert np.isfinite(diverged.details["v"]).all()
+    assert np.isfinite(diverged.details["w"]).all()
     small = GaussianQAC.published(RIG, alpha=1e-7, beta=1e-7, variance=10.0, max_episodes=500).train(0)
     assert small.outcome is Outcome.BUDGET_SPENT
-    assert not small.succeeded.any()
-    assert small.episodes == len(small.lengths) == len(small.rewards) == 500
-    assert small.steps == small.lengths.sum()
+    assert not small.curve["success"].any()
+    assert small.cost.episodes == len(small.curve["length"]) == len(small.curve["reward"]) == 500
+    assert small.cost.steps == small.curve["length"].sum()
 
 
 def test_tuned_it_balances_and_saves_what_a_regulator_saves():
@@ -146,28 +147,28 @@ def test_tuned_it_balances_and_saves_what_a_regulator_saves():
     training = GaussianQAC.tuned(RIG).train(501)
     assert training.converged
     assert isinstance(training.policy, GainPolicy)
-    assert_allclose(training.policy.K, training.gains[-1])
+    assert_allclose(training.policy.K, training.details["gains"][-1])
     assert dpend.simulate_many(RIG, training.policy, starts, task=task).success.mean() > 0.75
-    assert training.episodes == 400
-    assert training.steps == training.lengths.sum()
-    assert len(training.succeeded) == 400
-    assert list(training.updated) == list(range(2, 401, 2))
+    assert training.cost.episodes == 400
+    assert training.cost.steps == training.curve["length"].sum()
+    assert len(training.curve["success"]) == 400
+    assert list(training.details["updated"]) == list(range(2, 401, 2))
 
 
 def test_the_same_seed_learns_the_same_and_another_something_else():
     for learner in (
         replace(GaussianQAC.tuned(RIG), max_episodes=20),
-        GaussianQAC.published(RIG, alpha=1e-6, beta=1e-6, spread=1.0, max_episodes=20),
+        GaussianQAC.published(RIG, alpha=1e-6, beta=1e-6, init_std=1.0, max_episodes=20),
     ):
-        one, same, other = (learner.train(seed).v for seed in (0, 0, 1))
+        one, same, other = (learner.train(seed).details["v"] for seed in (0, 0, 1))
         assert (one == same).all()
         assert (one != other).any()
 
 
-def test_progress_is_told():
-    told = []
-    GaussianQAC.published(RIG, alpha=1e-8, beta=1e-8, max_episodes=1100).train(0, progress=told.append)
-    assert told == [500, 1000, 1100]
+def test_progress_is_reported():
+    reports = []
+    GaussianQAC.published(RIG, alpha=1e-8, beta=1e-8, max_episodes=1100).train(0, progress=reports.append)
+    assert reports == [500 / 1100, 1000 / 1100, 1.0, 1.0]
 
 
 def test_each_ablation_differs_from_the_tuned_learner_in_one_thing():
@@ -198,14 +199,10 @@ def test_the_mean_policy_is_the_policy_without_noise():
         ({"beta": -1.0}, "beta must be finite and greater than 0; got -1.0."),
         ({"sigma": 0.0}, "sigma must be finite and greater than 0; got 0.0."),
         ({"gamma": 1.5}, "gamma must be above 0 and at most 1; got 1.5."),
-        ({"spread": -0.1}, "spread must be finite and at least 0; got -0.1."),
+        ({"init_std": -0.1}, "init_std must be finite and at least 0; got -0.1."),
         ({"streak": 0}, "streak must be a whole number, at least 1; got 0."),
         ({"max_episodes": 1.5}, "max_episodes must be a whole number, at least 1; got 1.5."),
         ({"indicators": "sines"}, "indicators must be one of 'none', 'signs', 'cells'; got 'sines'."),
-        (
-            {"deviations": Deviations(), "spread": 1.0},
-            "With deviations the actor has the six states and begins at zero: leave indicators and spread.",
-        ),
         (
             {"rig": RIG.replace(sensor_noise=0.1)},
             "GaussianQAC trains on ideal rigs; got one with lag, delay, noise or rounding. "
@@ -233,13 +230,13 @@ def test_settings_that_make_no_sense_are_refused(changes, message):
         ({"gamma_start": 0.0}, "gamma_start must be above 0 and at most 1; got 0.0."),
         ({"gamma_updates": 0.0}, "gamma_updates must be finite and greater than 0; got 0.0."),
         ({"angle_cut": 2.0}, "angle_cut must be above 0 and at most pi/2; got 2.0."),
-        ({"episodes": 0}, "episodes must be at least 1; got 0."),
+        ({"episodes_per_update": 0}, "episodes_per_update must be at least 1; got 0."),
         ({"relax_from": -1}, "relax_from must be at least 0; got -1."),
         ({"relax_to": 80}, "relax_to must be greater than relax_from = 80; got 80."),
         ({"relaxed_cost": 0.0}, "relaxed_cost must be finite and greater than 0; got 0.0."),
         ({"relaxed_sigma": 0.0}, "relaxed_sigma must be finite and greater than 0; got 0.0."),
     ],
 )
-def test_deviations_that_make_no_sense_are_refused(changes, message):
+def test_tuned_settings_that_make_no_sense_are_refused(changes, message):
     with pytest.raises(ValueError, match=whole(message)):
-        Deviations(**changes)
+        NaturalQAC(RIG, **changes)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import warnings
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -285,3 +286,37 @@ def test_wrong_use_is_refused() -> None:
         identify(recorded(0), "gustafsson2016", MASSES)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=whole("runs must be dpend.Run, dpend.Runs or several Run; got int.")):
         identify(3, TRUE, MASSES)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("turned", "argument"),
+    [("u", "force_unit"), ("pos", "position_unit"), ("th1", "angle_unit"), ("th2", "angle_unit")],
+)
+def test_a_recording_with_a_wrong_sign_is_told_which(turned: str, argument: str) -> None:
+    run = recorded(0, 3.0)
+    sign = np.array([-1.0 if name == turned else 1.0 for name in 2 * ("pos", "th1", "th2")])
+    wrong = replace(run, y=run.y * sign, x=run.x * sign, u=-run.u if turned == "u" else run.u)
+    hint = (
+        f"the sign of {turned} turned round the model fits far better; look at the sign of {argument} in Run.from_csv."
+    )
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        try:
+            identify(wrong, START, FIT)
+        except ValueError as refusal:  # where the data seem to tell nothing at all
+            warnings.warn(str(refusal), stacklevel=1)
+    assert any(hint in str(each.message) for each in said)
+
+
+def test_clamped_links_are_identified() -> None:
+    heavy = TRUE.replace(cart_mass=1e6)
+    swung = dpend.simulate(heavy, Zero(), HANGING, 6.0, task=None, seed=1)
+    still = replace(swung, x=swung.x * [0, 1, 1, 0, 1, 1], y=swung.y * [0, 1, 1, 0, 1, 1])
+    fit = ("mass2", "joint1_friction", "joint2_friction")
+    found = identify(still, START.replace(mass1=TRUE.params.mass1), fit, clamped=True)
+    assert set(found.noise) == {"th1", "th2"}
+    assert found.params.cart_mass == START.params.cart_mass
+    for name, value in found.values.items():
+        assert abs(value - getattr(TRUE.params, name)) < 4 * found.errors[name], name
+    with pytest.raises(ValueError, match=whole("The cart never moves; if it was held fast, give clamped=True.")):
+        identify(still, START, fit)

@@ -58,7 +58,7 @@ def test_the_slopes_of_a_sample_are_those_of_the_complex_step(substeps: int) -> 
     N = 40  # more than a block
     x, u = random_states(rng, N + 1), rng.uniform(-40, 40, N)
     D = np.empty((N, 6, 8))
-    ilqr_kernels.linearise(x, u, planner(rig).problem, D)
+    ilqr_kernels.linearize(x, u, planner(rig).problem, D)
     rk4 = equations.make_rk4(equations.make_rates(np.sin, np.cos))
     for column in range(7):
         moved, force = x[:-1].T.astype(complex), u.astype(complex)
@@ -74,7 +74,7 @@ def test_the_slopes_of_a_sample_are_those_of_the_complex_step(substeps: int) -> 
 
 
 def test_on_a_linear_quadratic_problem_the_backward_pass_gives_the_riccati_gain() -> None:
-    mpc = planner(endless(), horizon=20)
+    mpc = planner(endless(), horizon=0.4)
     x, u = np.zeros((21, 6)), np.zeros(20)
     D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
     A, B = (np.asarray(part) for part in dpend.discretize(*dpend.linearize(mpc.rig.params), mpc.rig.sample_time))
@@ -85,10 +85,10 @@ def test_on_a_linear_quadratic_problem_the_backward_pass_gives_the_riccati_gain(
 
 
 def test_a_clamped_force_has_no_feedback_and_stays_in_the_box() -> None:
-    mpc = planner(RIG, horizon=20)
+    mpc = planner(RIG, horizon=0.4)
     plan = mpc.straight(mpc.problem, np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0]))
     D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
-    ilqr_kernels.linearise(plan.x, plan.u, mpc.problem, D)
+    ilqr_kernels.linearize(plan.x, plan.u, mpc.problem, D)
     ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 0.0, du, K)
     clamped = np.abs(plan.u + du) == RIG.force_limit
     assert clamped.any()
@@ -98,12 +98,100 @@ def test_a_clamped_force_has_no_feedback_and_stays_in_the_box() -> None:
     assert K[~clamped].any(axis=1).all()
 
 
+def quadratic_model(mpc: Any, k: int, x: Array, problem: Any, direction: Array) -> tuple[float, float]:
+    """Return the halved slope and curvature of the cost by the state after sample k of two, by the backward pass."""
+    D, du, K = np.zeros((2, 6, 8)), np.empty(2), np.empty((2, 6))
+    D[k, :, 6] = direction  # the force moves the next state along the direction, and no state moves another
+    states = np.zeros((3, 6))
+    states[k + 1] = x
+    first, second, _ = ilqr_kernels.backward(states, np.zeros(2), problem, mpc.P, D, 0.0, du, K)
+    return first / du[k], second / du[k] ** 2 - problem.R
+
+
+@pytest.mark.parametrize("k", [0, 1], ids=["stage", "end"])
+@pytest.mark.parametrize("place", [(2.3, 0, 0), (-2.39995, 0, 0), (0, 1.5, -1.6), (2.3, -1.5, 1.45)])
+def test_walls_have_the_slope_and_the_curvature_of_their_cost(place: tuple[float, float, float], k: int) -> None:
+    mpc = planner(endless(track_limit=2.4), horizon=0.04, upright_only=True)
+    x = np.array([*place, 0.1, -0.2, 0.3])
+    walls = mpc.problem_at(x)
+    none = walls._replace(track_weight=0.0, hard_weight=0.0, angle_weight=0.0)
+    direction = np.array([1.0, -0.7, 0.4, 0.2, 0.1, -0.3])
+    found = np.subtract(*(quadratic_model(mpc, k, x, problem, direction) for problem in (walls, none)))
+
+    def cost(way: float) -> float:
+        states = np.zeros((3, 6))
+        states[k + 1] = x + way * direction
+        with_walls, without = (ilqr_kernels.cost_of(states, np.zeros(2), each, mpc.P) for each in (walls, none))
+        return 0.5 * (with_walls - without)
+
+    h = 1e-5  # within the walls the cost is quadratic, so differences are exact to rounding
+    before, here, after = (cost(way) for way in (-h, 0.0, h))
+    assert_allclose(found, [(after - before) / (2 * h), (after - 2 * here + before) / h**2], rtol=1e-4)
+    assert found[0] != 0.0
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.3, 10.0])
+def test_a_backward_pass_predicts_the_cost_of_the_step_it_proposes(damping: float) -> None:
+    """On a linear plant, near the target, where nothing is clamped: to rounding, damped or not."""
+    mpc = planner(endless(), horizon=0.4)
+    N, rng = 20, np.random.default_rng(0)
+    x, u = 1e-5 * rng.standard_normal((N + 1, 6)), 1e-5 * rng.standard_normal(N)
+    D, du, K = np.empty((N, 6, 8)), np.empty(N), np.empty((N, 6))
+    A, B = (np.asarray(part) for part in dpend.discretize(*dpend.linearize(mpc.rig.params), mpc.rig.sample_time))
+    D[:, :, :6], D[:, :, 6:7], D[:, :, 7] = A, B, 0.0
+    first, second, _ = ilqr_kernels.backward(x, u, mpc.problem, mpc.P, D, damping, du, K)
+
+    def cost(x: Array, u: Array) -> float:
+        return float((x[:-1] ** 2 * mpc.Q).sum() + mpc.R * (u**2).sum() + x[-1] @ mpc.P @ x[-1])
+
+    away, change = np.zeros((N + 1, 6)), np.zeros(N)
+    for k in range(N):
+        change[k] = du[k] + K[k] @ away[k]
+        away[k + 1] = A @ away[k] + B[:, 0] * change[k]
+    assert_allclose(2 * first + second, cost(x + away, u + change) - cost(x, u), rtol=1e-6)
+
+
+def test_damping_shortens_a_step_and_its_feedback_in_proportion() -> None:
+    mpc = planner(endless(), horizon=0.4)
+    plan = mpc.straight(mpc.problem, np.array([0.0, 0.3, -0.2, 0.0, 0.0, 0.0]))
+    D = np.empty((20, 6, 8))
+    ilqr_kernels.linearize(plan.x, plan.u, mpc.problem, D)
+    (du, K), (damped, its_K) = [(np.empty(20), np.empty((20, 6))) for _ in range(2)]
+    ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 0.0, du, K)
+    ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 3.0, damped, its_K)
+    # At the last sample, where both know the same cost to go.
+    assert_allclose(damped[-1], du[-1] / 4, rtol=1e-12)
+    assert_allclose(its_K[-1], K[-1] / 4, rtol=1e-12)
+
+
+def test_damping_grows_while_plans_get_no_better_and_soon_vanishes_when_they_do() -> None:
+    damping = [0.0]
+    while damping[-1] <= 1e6:
+        damping.append(ilqr_kernels.next_damping(damping[-1], False))
+    assert (np.diff(damping) > 0).all()
+    assert len(damping) == 11  # none, then from 1e-2 tenfold to beyond 1e6
+    falling = [1.0]
+    while falling[-1]:
+        falling.append(ilqr_kernels.next_damping(falling[-1], True))
+    assert (np.diff(falling) < 0).all()
+    assert len(falling) == 7
+    assert ilqr_kernels.next_damping(0.0, True) == 0.0
+
+
+def test_where_a_full_step_is_too_long_a_damped_one_is_taken_in_its_place() -> None:
+    mpc = planner(RIG)
+    plan = mpc.driven(mpc.problem, HANGING.copy(), mpc.noise(np.random.default_rng(0)))
+    converged, tried, accepted, _ = ilqr_kernels.improve(plan.x, plan.u, plan.K, mpc.problem, mpc.P, 300, 1e-6, 1)
+    assert converged
+    assert accepted < tried < 300
+
+
 # -------------------------------------------------------------------------------------------------------------- offline
 
 
 def test_cost_never_rises_over_iterations() -> None:
     mpc = planner(RIG)
-    plan = mpc.kicked(mpc.problem, HANGING.copy(), mpc.noise(np.random.default_rng(1)))
+    plan = mpc.driven(mpc.problem, HANGING.copy(), mpc.noise(np.random.default_rng(1)))
     costs = [plan.cost]
     for _ in range(30):
         plan = mpc.improved(mpc.problem, plan, 1, 0.0)
@@ -112,10 +200,10 @@ def test_cost_never_rises_over_iterations() -> None:
     assert costs[-1] < 0.2 * costs[0]
 
 
-def test_the_cost_that_is_told_is_that_of_the_motion() -> None:
+def test_the_cost_in_the_record_is_that_of_the_motion() -> None:
     rig = RIG
-    plan = ilqr(rig, HANGING, horizon=60, starts=0, iterations=5)
-    mpc = planner(rig, horizon=60)
+    plan = ilqr(rig, HANGING, horizon=1.2, starts=0, iterations=5)
+    mpc = planner(rig, horizon=1.2)
     e = np.stack([_residuals(x, ilqr_kernels.nearest_target(tuple(x), mpc.problem)) for x in plan.x])
     over = np.maximum(np.abs(plan.x[:, 0]) - 2.25, 0)
     stages = (e[:-1] ** 2 * mpc.Q).sum() + 0.1 * (plan.u**2).sum() + 1e4 * (over**2).sum()
@@ -129,7 +217,7 @@ def _residuals(x: Array, target: Any) -> Array:
 
 
 def test_a_swing_up_is_planned_from_hanging_at_rest() -> None:
-    plan = ilqr(RIG, HANGING, horizon=125, iterations=400)
+    plan = ilqr(RIG, HANGING, horizon=2.5, iterations=400)
     assert isinstance(plan, Trajectory)
     assert plan.about["converged"]
     assert plan.about["starts_tried"] == 10
@@ -138,25 +226,25 @@ def test_a_swing_up_is_planned_from_hanging_at_rest() -> None:
     assert plan.defect() < 1e-9
     assert np.abs(plan.u).max() <= RIG.force_limit
     assert np.abs(plan.x[:, 0]).max() < RIG.track_limit
-    again = ilqr(RIG, HANGING, horizon=125, iterations=400)
+    again = ilqr(RIG, HANGING, horizon=2.5, iterations=400)
     assert_array_equal(again.u, plan.u)
 
 
 def test_gaps_between_guessed_states_are_closed() -> None:
     x0 = np.array([0.0, 0.3, -0.1, 0.0, 0.0, 0.0])
     guess = np.linspace(1, 0, 51)[:, None] * x0
-    plan = ilqr(RIG, x0, horizon=50, x_guess=guess)
+    plan = ilqr(RIG, x0, horizon=1, x_guess=guess)
     assert plan.about["converged"]
     assert plan.about["starts_tried"] == 1
     assert plan.defect() < 1e-9
-    unfinished = ilqr(RIG, x0, horizon=50, x_guess=guess, iterations=0)
+    unfinished = ilqr(RIG, x0, horizon=1, x_guess=guess, iterations=0)
     assert not unfinished.about["converged"]
     assert unfinished.defect() < 1e-9
 
 
 def test_a_guess_of_forces_is_followed_and_clipped() -> None:
     guess = np.linspace(-100, 100, 30)
-    plan = ilqr(RIG, HANGING, horizon=30, u_guess=guess, iterations=0)
+    plan = ilqr(RIG, HANGING, horizon=0.6, u_guess=guess, iterations=0)
     assert_array_equal(plan.u, np.clip(guess, -40, 40))
 
 
@@ -211,6 +299,84 @@ def test_a_mirrored_start_gives_mirrored_forces() -> None:
     x0 = np.array([0.1, 3.0, 3.3, 0.2, -0.1, 0.3])
     there, mirrored = (dpend.simulate(RIG, ILQRMPC(RIG), sign * x0, 0.6, task=None, seed=4).u for sign in (1.0, -1.0))
     assert_allclose(there, -mirrored, rtol=0, atol=1e-6)
+
+
+def test_a_challenger_of_a_mirrored_run_is_mirrored() -> None:
+    x = np.array([0.1, 3.0, 3.3, 0.2, -0.1, 0.3])
+    laws = begin(ILQRMPC(RIG), seed=4), begin(ILQRMPC(RIG), seed=4)
+    for _ in range(2):
+        for law, sign in zip(laws, (1, -1), strict=True):
+            drive(law, sign * x)
+    one, two = (law._challenger for law in laws)
+    assert one.u.any()
+    assert_allclose(one.u, -two.u, rtol=0, atol=1e-6)
+
+
+def test_random_starts_come_in_mirrored_pairs() -> None:
+    mpc = planner(RIG)
+    x = np.array([0.1, 3.0, 3.3, 0.2, -0.1, 0.3])
+    plans = [mpc.best_of_several(sign * x, 2, np.random.default_rng(1), 60, 1e-4)[0] for sign in (1, -1)]
+    alone, _ = mpc.best_of_several(x, 0, np.random.default_rng(1), 60, 1e-4)
+    assert plans[0].cost < alone.cost  # a random start won
+    assert_allclose(plans[0].u, -plans[1].u, rtol=0, atol=1e-6)
+
+
+def test_what_a_shift_appends_to_a_plan_is_the_saturated_regulators() -> None:
+    law = begin(ILQRMPC(RIG, horizon=0.2, iterations=0))
+    for x in (np.array([0.0, 0.05, -0.05, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.9, 0.0, 0.0, 0.0])):
+        law._plan = None
+        drive(law, x)
+        before = law._plan
+        drive(law, before.x[1])
+        end = before.x[-1] - inside.nearest_target(tuple(before.x[-1]), law._planner.problem)
+        assert_allclose(law._plan.u[:-1], before.u[1:], rtol=1e-9)
+        assert_allclose(law._plan.u[-1], np.clip(-law._planner.lqr.K[0] @ end, -40, 40), rtol=1e-9)
+
+
+def test_beyond_its_first_plan_a_plan_that_is_only_shifted_is_the_regulator() -> None:
+    controller = ILQRMPC(RIG, horizon=0.2, iterations=0)
+    law = begin(controller)
+    for _ in range(controller.horizon_steps + 1):
+        assert drive(law, np.zeros(6)) == 0.0
+    y = 1e-2 * np.random.default_rng(0).standard_normal(6)
+    assert_allclose(drive(law, y), -controller.lqr.K[0] @ y, rtol=1e-12)
+
+
+class Wrapped:
+    """A controller that sees angles as absolute encoders give them, within half a turn of up."""
+
+    batched = False
+
+    def __init__(self, controller: ILQRMPC) -> None:
+        self.controller = controller
+
+    def start(self, n: int, rng: np.random.Generator) -> dpend.Act:
+        act = self.controller.start(n, rng)
+        return lambda t, y: act(t, dpend.nearest_upright(y))
+
+
+def test_from_absolute_encoders_it_swings_up_as_well() -> None:
+    task = SwingUp(angle_spread=0.2, steps=300)
+    x0 = task.starts(np.random.default_rng(3), 4, RIG)
+    assert dpend.simulate_many(RIG, Wrapped(ILQRMPC(RIG)), x0, task=task).success.all()
+
+
+def test_next_to_the_tracks_end_it_saves_what_the_regulator_saves() -> None:
+    rng = np.random.default_rng(0)
+    x0 = np.zeros((12, 6))
+    x0[:, 0] = rng.uniform(2.381, 2.398, 12)
+    x0[:, 1] = x0[:, 2] = -rng.uniform(0.05, 0.25, 12)
+    x0[::2] *= -1
+    planned, regulated = (
+        dpend.simulate_many(RIG, law, x0).success for law in (ILQRMPC(RIG, upright_only=True), LQR(RIG))
+    )
+    assert regulated.sum() >= 8
+    assert (planned >= regulated).all()
+
+
+def test_a_start_that_nothing_keeps_on_the_track_is_still_driven_back() -> None:
+    lost = np.array([2.399, 0.0, 0.0, 3.0, 0.0, 0.0])
+    assert drive(begin(ILQRMPC(RIG, upright_only=True)), lost) == -RIG.force_limit
 
 
 def test_what_is_not_finite_is_never_answered_by_what_is_not() -> None:
@@ -272,7 +438,12 @@ def test_a_rig_twice_as_long_with_time_scaled_alike_moves_alike() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"horizon": 1}, "horizon must be a whole number, at least 2; got 1."),
+        ({"horizon": 0.02}, "horizon must be from 0.04 to 20 s, 2 to 1000 samples; got 0.02."),
+        (
+            {"horizon": 40},
+            "horizon must be from 0.04 to 20 s, 2 to 1000 samples; got 40. If samples are meant, that is horizon=0.8.",
+        ),
+        ({"horizon": "long"}, "horizon must be from 0.04 to 20 s, 2 to 1000 samples; got 'long'."),
         ({"iterations": -1}, "iterations must be a whole number, at least 0; got -1."),
         ({"starts": 1.5}, "starts must be a whole number, at least 0; got 1.5."),
         (
@@ -314,4 +485,4 @@ def test_several_plants_and_no_gravity_are_refused() -> None:
 )
 def test_wrong_guesses_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=whole(message)):
-        ilqr(**({"rig": RIG, "x0": np.zeros(6), "horizon": 10} | changes))
+        ilqr(**({"rig": RIG, "x0": np.zeros(6), "horizon": 0.2} | changes))

@@ -205,8 +205,14 @@ _PLANT = random_params(np.random.default_rng(3))
             lambda: discretize(np.zeros((6, 5)), np.zeros((6, 1)), 0.1),
             "Expected A of shape (n, n) and B of shape (n, m); got (6, 5) and (6, 1).",
         ),
-        (lambda: discretize(np.eye(2), np.zeros((2, 1)), 0.0), "sample_time must be greater than 0 s; got 0.0."),
-        (lambda: discretize(np.eye(2), np.zeros((2, 1)), np.nan), "sample_time must be greater than 0 s; got nan."),
+        (
+            lambda: discretize(np.eye(2), np.zeros((2, 1)), 0.0),
+            "sample_time must be finite and greater than 0 s; got 0.0.",
+        ),
+        (
+            lambda: discretize(np.eye(2), np.zeros((2, 1)), np.nan),
+            "sample_time must be finite and greater than 0 s; got nan.",
+        ),
     ],
 )
 def test_wrong_use_is_refused_with_what_was_expected(call: Callable[[], object], message: str) -> None:

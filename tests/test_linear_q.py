@@ -16,7 +16,7 @@ RIG = dpend.rig("gustafsson2016")
 
 def algorithm_1(learner, seed, episodes):
     """The report's Algorithm 1 over the stepper, step by step as printed."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=_STREAM))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
     w, scales, forces = np.zeros(18), np.array(learner.scales), np.array(learner.forces)
     stepper, task = dpend.Stepper(learner.rig, 1), learner.task
 
@@ -56,9 +56,7 @@ def algorithm_1(learner, seed, episodes):
         LinearQLearning.published(RIG, task=dpend.Balance(failure_cost=3.0, state_weights=(1, 2, 3))),
         replace(LinearQLearning.published(RIG, task=dpend.Balance(criterion="report")), epsilon=0.3),
         LinearQLearning.tuned(RIG, select=False),
-        LinearQLearning(
-            rig=RIG, task=dpend.SwingUp(start="side", angle_spread=0.1, steps=120), alpha=1e-6, epsilon=0.3
-        ),
+        LinearQLearning(RIG, task=dpend.SwingUp(start="side", angle_spread=0.1, steps=120), alpha=1e-6, epsilon=0.3),
     ],
     ids=["published", "exploring", "tuned", "swing-up"],
 )
@@ -66,7 +64,7 @@ def test_the_compiled_loop_does_what_algorithm_1_says(learner):
     learner = replace(learner, max_episodes=4, streak=99)
     w, lengths = algorithm_1(learner, 5, 4)
     training = learner.train(5)
-    assert list(training.lengths) == lengths
+    assert list(training.curve["length"]) == lengths
     np.testing.assert_allclose(training.policy.weights, w, rtol=1e-6, atol=1e-9 * np.abs(w).max())
 
 
@@ -77,18 +75,18 @@ def test_a_swing_up_counts_as_successful_when_it_ends_with_both_links_up_for_lon
     training = learner.train(0)
     assert training.converged == converges
     if converges:
-        assert (training.lengths[-5:] == 100).all()
-        assert (training.upright[-5:] >= 5).all()
-    assert (training.upright <= training.lengths).all()
+        assert (training.curve["length"][-5:] == 100).all()
+        assert (training.curve["upright"][-5:] >= 5).all()
+    assert (training.curve["upright"] <= training.curve["length"]).all()
 
 
 def test_balancing_counts_every_sample_as_upright():
     training = replace(LinearQLearning.tuned(RIG, select=False), max_episodes=30).train(0)
-    assert (training.upright == training.lengths).all()
+    assert (training.curve["upright"] == training.curve["length"]).all()
 
 
 def test_initial_weights_may_be_drawn():
-    learner = replace(LinearQLearning.published(RIG), alpha=1e-300, max_episodes=1, spread=2.0)
+    learner = replace(LinearQLearning.published(RIG), alpha=1e-300, max_episodes=1, init_std=2.0)
     w = learner.train(0).policy.weights
     assert 0.8 < w.std() < 4.0
     assert (w != learner.train(1).policy.weights).all()
@@ -121,24 +119,27 @@ def test_tuned_it_balances():
 def test_every_step_of_learning_and_of_testing_is_counted():
     reports = []
     training = LinearQLearning.tuned(RIG).train(101, progress=reports.append)
-    assert training.steps == training.lengths.sum()
-    assert training.episodes == len(training.lengths) == len(training.rewards) == reports[-1]
-    assert 20_000 < training.test_steps < 10_000_000  # at least the last test: 100 starts, nearly all of 300 samples
+    assert training.cost.steps == training.curve["length"].sum()
+    assert training.cost.episodes == len(training.curve["length"]) == len(training.curve["reward"])
+    assert (
+        20_000 < training.cost.test_steps < 10_000_000
+    )  # at least the last test: 100 starts, nearly all of 300 samples
     assert reports == sorted(reports)
+    assert reports[-1] == 1.0
 
 
 def test_the_last_successes_are_the_streak_that_ended_learning():
     training = LinearQLearning.tuned(RIG, select=False).train(3)
     assert training.converged
-    assert (training.lengths[-20:] == 300).all()
-    assert training.lengths[-21] < 300
-    assert training.test_steps == 0
+    assert (training.curve["length"][-20:] == 300).all()
+    assert training.curve["length"][-21] < 300
+    assert training.cost.test_steps == 0
 
 
-def test_it_begins_anew_where_it_does_not_converge():
+def test_it_restarts_where_it_does_not_converge():
     learner = replace(LinearQLearning.published(RIG, cart_features=False), restart_after=10, max_episodes=35)
     training = learner.train(0)
-    assert (training.outcome, training.restarts, training.episodes) == (Outcome.BUDGET_SPENT, 3, 35)
+    assert (training.outcome, training.details["restarts"], training.cost.episodes) == (Outcome.BUDGET_SPENT, 3, 35)
 
 
 def test_features_of_scale_zero_keep_weight_zero():
@@ -156,11 +157,11 @@ def test_features_of_scale_zero_keep_weight_zero():
         ({"gamma": 1.5}, "gamma must be above 0 and at most 1; got 1.5."),
         ({"epsilon": -0.1}, "epsilon must be within 0 and 1; got -0.1."),
         ({"epsilon_decay": -0.1}, "epsilon_decay must be at least 0; got -0.1."),
-        ({"streak": 0}, "streak must be at least 1; got 0."),
-        ({"acceptance_episodes": 0}, "acceptance_episodes must be at least 1; got 0."),
-        ({"restart_after": 0}, "restart_after must be at least 1, or None; got 0."),
-        ({"max_episodes": 0}, "max_episodes must be at least 1; got 0."),
-        ({"spread": -1.0}, "spread must be finite and at least 0; got -1.0."),
+        ({"streak": 0}, "streak must be a whole number, at least 1; got 0."),
+        ({"acceptance_episodes": 0}, "acceptance_episodes must be a whole number, at least 1; got 0."),
+        ({"restart_after": 0}, "restart_after must be a whole number, at least 1; got 0."),
+        ({"max_episodes": 0}, "max_episodes must be a whole number, at least 1; got 0."),
+        ({"init_std": -1.0}, "init_std must be finite and at least 0; got -1.0."),
         ({"scales": (1.0,)}, "scales must be 18 finite numbers; got (1.0,)."),
         ({"forces": (50.0,)}, "forces must be a list of forces within the rig's limit of 40 N; got (50.0,)."),
         (
@@ -198,10 +199,10 @@ def test_a_saved_policy_comes_back(tmp_path):
 def test_a_foreign_file_is_refused_and_runs_nothing(tmp_path):
     file = tmp_path / "foreign.npz"
     np.savez(file, format=np.array(["x", object()], dtype=object))  # would need pickle to read
-    with pytest.raises(ValueError, match=rf"^{re.escape(str(file))} is not a policy saved by dpend \("):
+    with pytest.raises(ValueError, match=rf"^{re.escape(str(file))} cannot be read as 'dpend policy 2': "):
         load_policy(file)
     file.write_bytes(b"PK\x03\x04 cut short")
-    with pytest.raises(ValueError, match=r"is not a policy saved by dpend"):
+    with pytest.raises(ValueError, match=r"cannot be read as 'dpend policy 2'"):
         load_policy(file)
     with pytest.raises(FileNotFoundError):
         load_policy(tmp_path / "none.npz")
@@ -251,17 +252,17 @@ def test_learning_goes_on_until_a_policy_is_accepted_and_all_tests_are_counted(m
     training = learner.train(3)
     assert training.converged
     assert len(asked) == 3
-    assert training.test_steps == 3000
+    assert training.cost.test_steps == 3000
     assert (training.policy.weights == asked[-1]).all()
-    successes = training.lengths == 300
+    successes = training.curve["length"] == 300
     tested = [k for k in range(20, len(successes) + 1) if successes[k - 20 : k].all()]
     assert successes[-20:].all()
     assert len(tested) >= 3
 
 
 @pytest.mark.parametrize(("weak", "passes"), [(0, True), (1, False), (2, False)])
-def test_a_policy_must_save_its_share_at_every_spread_that_is_asked(weak, passes, monkeypatch):
-    spreads = []
+def test_a_policy_must_save_its_share_at_every_lambda_that_is_asked(weak, passes, monkeypatch):
+    lams = []
 
     class Saved:
         def __init__(self, n, share):
@@ -269,7 +270,7 @@ def test_a_policy_must_save_its_share_at_every_spread_that_is_asked(weak, passes
             self.steps = np.full(n, 7)
 
     def simulated(rig, policy, starts, task):
-        spreads.append(task.lam)
+        lams.append(task.lam)
         assert np.abs(starts[:, 1:3]).max() <= task.lam
         assert np.abs(starts[:, 1:3]).max() > 0.8 * task.lam
         return Saved(len(starts), {0.3: 0.81 if weak == 1 else 0.82, 0.1: 0.98 if weak == 2 else 0.99}[task.lam])
@@ -278,8 +279,8 @@ def test_a_policy_must_save_its_share_at_every_spread_that_is_asked(weak, passes
     policy = LinearQPolicy(np.ones(18), np.ones(18), (-40.0, 40.0))
     passed, samples = LinearQLearning.tuned(RIG)._accept(policy, np.random.default_rng(0))
     assert passed == passes
-    assert spreads == ([0.3] if weak == 1 else [0.3, 0.1])
-    assert samples == 700 * len(spreads)
+    assert lams == ([0.3] if weak == 1 else [0.3, 0.1])
+    assert samples == 700 * len(lams)
 
 
 def test_exploration_and_step_size_fall_with_the_episodes_since_the_restart():

@@ -10,8 +10,7 @@ from scipy.linalg import solve_discrete_are
 import dpend
 from rl import LSPI, GainPolicy, GaussianQAC, LinearQLearning, Outcome, QuadraticQLearning, load_policy
 from rl.features import QUADRATIC, quadratic_features, quadratic_form
-from rl.lspi import _best_force, fit_q, greedy_gain
-from studies.lspi import discounted_gain
+from rl.lspi import _best_force, fit_q, gain_errors, greedy_gain
 from tests.rigs import whole
 
 RIG = dpend.rig("gustafsson2016")
@@ -22,6 +21,12 @@ def riccati(A, B, Q, R, gamma):
     A, B = np.sqrt(gamma) * A, np.sqrt(gamma) * B
     P = solve_discrete_are(A, B, Q, np.array([[R]]))
     return ((B.T @ P @ A) / (R + B.T @ P @ B))[0], P
+
+
+def best_gain(learner):
+    """The gain that the Riccati equation gives for a learner's cost and discount about upright."""
+    A, B = dpend.discretize(*dpend.linearize(learner.rig.params), learner.rig.sample_time)
+    return riccati(A, B, np.diag(learner.state_weights), learner.force_weight, learner.gamma)[0]
 
 
 def plant(rng, n):
@@ -84,20 +89,19 @@ def test_a_form_without_a_least_action_has_no_greedy_gain():
 
 def test_from_no_gain_and_no_model_it_finds_the_gain_of_the_linearised_plant():
     learner = LSPI(RIG)
-    best = discounted_gain(RIG, learner.state_weights, learner.force_weight, learner.gamma)
+    best = best_gain(learner)
     training = learner.train(77)
     assert training.experience == pytest.approx(120.0)
-    errors = training.errors(best)
+    errors = gain_errors(training.details["gains"], best)
     assert errors[0] > 0.9
     assert errors[-1] < 0.05
-    assert (training.gains[-1] == training.K).all()
-    assert (training.policy.K == training.K).all()
-    assert list(training.samples) == list(range(100, 6001, 100))
+    assert (training.details["gains"][-1] == training.policy.K).all()
+    assert list(training.details["samples"]) == list(range(100, 6001, 100))
 
 
 def test_its_force_is_as_smooth_as_that_of_the_gain_it_finds():
     learner = LSPI(RIG)
-    best = discounted_gain(RIG, learner.state_weights, learner.force_weight, learner.gamma)
+    best = best_gain(learner)
     task = dpend.Balance(lam=0.1)
     starts = task.starts(np.random.default_rng(3), 50, RIG)
     learned, designed = (
@@ -111,7 +115,7 @@ def test_its_force_is_as_smooth_as_that_of_the_gain_it_finds():
 @pytest.mark.parametrize("kind", [LSPI, QuadraticQLearning])
 def test_the_same_seed_learns_the_same_and_another_something_else(kind):
     learner = kind(RIG)
-    one, same, other = (learner.train(seed).gains for seed in (0, 0, 1))
+    one, same, other = (learner.train(seed).details["gains"] for seed in (0, 0, 1))
     assert (one == same).all()
     assert (one != other).any()
 
@@ -159,7 +163,7 @@ def test_one_step_q_learning_does_what_its_equation_says():
         s = after
         K = greedy_gain(quadratic_form(w) / np.outer(scales, scales))
         gains.append(np.zeros(6) if K is None else K)
-    assert_allclose(learner.train(4).gains, gains, rtol=1e-6, atol=1e-9)
+    assert_allclose(learner.train(4).details["gains"], gains, rtol=1e-6, atol=1e-9)
 
 
 def test_a_learned_gain_comes_back_from_its_file_with_its_origin(tmp_path):
@@ -226,21 +230,21 @@ def test_every_training_says_how_it_ended_and_what_it_cost():
     learners = (
         LSPI(RIG, iterations=3),
         QuadraticQLearning(RIG, samples=300),
-        LinearQLearning(rig=RIG, max_episodes=3),
+        LinearQLearning(RIG, max_episodes=3),
         GaussianQAC(RIG, max_episodes=3),
     )
     for learner in learners:
         training = learner.train(0)
         assert isinstance(training.outcome, Outcome)
         assert training.converged == (training.outcome is Outcome.CONVERGED)
-        assert training.lengths.shape == (training.episodes,)
-        assert training.steps == training.lengths.sum() > 0
-        assert training.test_steps == 0
-        assert training.seconds > 0
+        assert training.curve["length"].shape == (training.cost.episodes,)
+        assert training.cost.steps >= training.curve["length"].sum() > 0
+        assert training.cost.test_steps == 0
+        assert training.cost.cpu_seconds > 0
         assert hasattr(training.policy, "start")
 
 
-def test_a_gain_that_comes_to_rest_has_converged_and_one_that_is_cut_short_has_not():
+def test_a_gain_that_settles_has_converged_and_one_that_is_cut_short_has_not():
     assert LSPI(RIG).train([3, 1]).outcome is Outcome.CONVERGED
     assert LSPI(RIG, iterations=3).train([3, 1]).outcome is Outcome.BUDGET_SPENT
     assert LSPI(RIG, iterations=1).train([3, 1]).outcome is Outcome.BUDGET_SPENT

@@ -1,5 +1,6 @@
 """Policies as files: what was saved comes back, what was not is refused and runs nothing; networks as controllers."""
 
+import json
 import os
 import re
 import time
@@ -9,9 +10,9 @@ import numpy as np
 import pytest
 
 import dpend
-from rl import LinearQPolicy, MLPPolicy, Network, load_policy
+from dpend.archive import _checksum
+from rl import LinearQPolicy, MLPPolicy, Network, TableOneMean, load_policy
 from rl.deep import evaluate
-from rl.policies import _checksum
 from rl.shaping import observe
 
 RIG = dpend.rig("gustafsson2016")
@@ -30,6 +31,7 @@ def policy(inputs=8, period=0.04, **keywords):
 
 SAVED = {
     "linear Q": LinearQPolicy(np.arange(18.0), np.ones(18), (0.0, -40.0, 40.0), about={"seed": 3}),
+    "table 1 mean": TableOneMean(np.arange(15.0), "signs", about={"seed": 3}),
     "mlp": policy(about={"seed": 3, "name": "some"}),
     "network": network(11, activation="relu", squash="tanh"),
 }
@@ -88,7 +90,8 @@ def test_what_was_saved_comes_back_to_the_bit(kind, tmp_path):
 
 def refused(file):
     with pytest.raises(
-        ValueError, match=rf"^{re.escape(str(file))} is not a policy saved by dpend \(.+\)\.$"
+        ValueError,
+        match=rf"^{re.escape(str(file))} cannot be read as 'dpend policy 2': .+\. Save it anew, or copy it again\.$",
     ) as caught:
         load_policy(file)
     return str(caught.value)
@@ -97,6 +100,18 @@ def refused(file):
 def stored(file):
     with np.load(file, allow_pickle=False) as opened:
         return {name: opened[name] for name in opened.files}
+
+
+def signed(file, arrays):
+    """Write arrays with a checksum that is right."""
+    rest = {name: array for name, array in arrays.items() if name != "checksum"}
+    np.savez(file, allow_pickle=False, checksum=np.array(_checksum(rest)), **rest)
+
+
+def header(**changes):
+    """What a network's file says of itself, with some of it changed or, where None, left out."""
+    said = {"format": "dpend policy 2", "kind": "mlp", "about": {}} | changes
+    return np.array(json.dumps({name: value for name, value in said.items() if value is not None}))
 
 
 @pytest.mark.parametrize("kind", SAVED)
@@ -152,29 +167,34 @@ def test_arrays_that_were_tampered_with_are_refused(tmp_path):
         ({"period": np.array(np.nan)}, "period must be finite and greater than 0; got nan."),
         ({"activation": np.array("gelu")}, "activation must be one of 'tanh', 'relu'; got 'gelu'."),
         ({"squash": np.array("none")}, "squash must be one of 'tanh', 'clip'; got 'none'."),
-        ({"kind": np.array("oracle")}, "an unknown kind of policy, 'oracle'"),
-        ({"format": np.array("dpend policy 1")}, "another format"),
+        ({"header": header(kind="oracle")}, "an unknown kind of policy, 'oracle'"),
+        ({"header": header(format="dpend policy 1")}, "it is 'dpend policy 1'"),
+        ({"header": header(kind=None)}, "it does not hold what such a file does"),
+        ({"header": header(about=None)}, "it does not hold what such a file does"),
         ({"weight7": np.ones((1, 1)), "bias7": np.ones(1)}, "expected arrays weight0, weight1, weight2, weight3, "),
-        ({"about": np.array("{")}, "Expecting property name"),
+        ({"header": np.array("{")}, "Expecting property name"),
     ],
 )
 def test_a_file_that_holds_nonsense_is_refused_even_with_a_good_checksum(changes, why, tmp_path):
     file = SAVED["mlp"].save(tmp_path / "policy.npz")
-    arrays = stored(file) | changes
-    arrays["checksum"] = np.array(_checksum({name: array for name, array in arrays.items() if name != "checksum"}))
-    np.savez(file, **arrays)
+    signed(file, stored(file) | changes)
     assert why in refused(file)
 
 
-@pytest.mark.parametrize("lacking", ["format", "kind", "about", "checksum", "weight1", "scales"])
+@pytest.mark.parametrize("lacking", ["header", "weight1", "scales", "period"])
 def test_a_file_that_lacks_something_is_refused(lacking, tmp_path):
     file = SAVED["mlp"].save(tmp_path / "policy.npz")
-    arrays = stored(file)
-    del arrays[lacking]
-    if lacking != "checksum":
-        arrays["checksum"] = np.array(_checksum({name: array for name, array in arrays.items() if name != "checksum"}))
-    np.savez(file, **arrays)
+    signed(file, {name: array for name, array in stored(file).items() if name != lacking})
     refused(file)
+
+
+def test_a_file_from_before_the_header_was_one_still_loads(tmp_path):
+    law = SAVED["linear Q"]
+    old = {"format": "dpend policy 2", "kind": "linear Q", "about": json.dumps({"seed": 3})}
+    signed(tmp_path / "old.npz", law.arrays() | {name: np.array(value) for name, value in old.items()})
+    back = load_policy(tmp_path / "old.npz")
+    assert back.about == law.about
+    np.testing.assert_array_equal(forces(back, states(9)), forces(law, states(9)))
 
 
 class Mischief:
@@ -188,7 +208,7 @@ class Mischief:
 def test_pickled_objects_in_a_file_are_refused_and_never_run(tmp_path):
     made = tmp_path / "made"
     file = SAVED["mlp"].save(tmp_path / "policy.npz")
-    for name in ("format", "kind", "weight0", "checksum"):
+    for name in ("header", "weight0", "checksum"):
         arrays = stored(SAVED["mlp"].save(file))
         arrays[name] = np.array([Mischief(made)], dtype=object)
         np.savez(file, allow_pickle=True, **arrays)
@@ -212,7 +232,7 @@ def test_a_shipped_policy_says_where_it_comes_from_and_does_what_it_is_for(name)
     assert success > 0.9 if recipe["task"] == "swing-up" else success > 0.8
 
 
-def test_a_name_that_is_not_shipped_is_told_the_nearest():
+def test_a_name_that_is_not_shipped_is_refused_with_the_nearest():
     with pytest.raises(FileNotFoundError, match=r"^There is no file and no shipped policy 'ppo-swing-upp'\."):
         load_policy("ppo-swing-upp")
 

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rigs import whole
 
 import dpend
-from controllers import LQR
+from controllers import LQR, Zero
 from dpend import Run
 from dpend.params import Array
 from dpend.recording import applied, fitted_rates
@@ -129,8 +129,10 @@ def test_of_a_command_the_rigs_actuator_makes_the_force(tmp_path: Path) -> None:
     assert_allclose(applied(RIG, np.array([1.0, 50.0, -90.0])), [1.0, 40.0, -40.0])
 
 
-def refused(tmp_path: Path, told: Mapping[str, Any], message: str, rig: dpend.Rig = RIG, **settings: Any) -> None:
-    file = written(tmp_path / "run.csv", told)
+def refused(
+    tmp_path: Path, columns_written: Mapping[str, Any], message: str, rig: dpend.Rig = RIG, **settings: Any
+) -> None:
+    file = written(tmp_path / "run.csv", columns_written)
     with pytest.raises(ValueError, match=whole(message.format(file=file))):
         Run.from_csv(file, rig, **settings)
 
@@ -151,7 +153,7 @@ def test_a_missing_column_is_named_with_those_that_are_there(tmp_path: Path) -> 
         tmp_path,
         columns,
         "{file} has no column 'u'; it has 't', 'pos', 'th1', 'th2', 'vel', 'om1', 'om2'. "
-        "Say which it is: columns={{'u': ...}}.",
+        "Say which it is: columns={{'u': ...}}. If no force acted, give columns={{\"u\": None}}.",
     )
 
 
@@ -189,7 +191,7 @@ def test_a_clock_that_is_not_uniform_is_refused(tmp_path: Path) -> None:
         tmp_path,
         columns,
         "{file} is not sampled uniformly: 0.03 s from sample 40 to the next, 0.02 s as a rule, and the tolerance is "
-        "0.01 of that. Resample it, or raise tolerance.",
+        "0.01 of that. Give resample=True, or raise tolerance.",
     )
     columns["t"] = RUN.t + 1e-5 * np.random.default_rng(0).uniform(-1, 1, len(RUN.t))
     assert len(Run.from_csv(written(tmp_path / "run.csv", columns), RIG).u) == 100
@@ -200,7 +202,7 @@ def test_a_clock_that_is_not_the_rigs_is_refused_with_the_remedy(tmp_path: Path)
         tmp_path,
         table(),
         "{file} is sampled every 0.02 s, the rig every 0.01 s; expected the same: rig.replace(sample_time=0.02), if "
-        "the times are in seconds.",
+        "the times are in seconds, or resample=True.",
         RIG.replace(sample_time=0.01),
     )
     refused(
@@ -261,3 +263,126 @@ def test_an_empty_or_short_file_is_refused(tmp_path: Path) -> None:
     )
     with pytest.raises(FileNotFoundError):
         Run.from_csv(tmp_path / "nothing.csv", RIG)
+
+
+# ---------------------------------------------------------------------------------------- what other programs write
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1253"])
+def test_the_encoding_is_found_out(tmp_path: Path, encoding: str) -> None:
+    headings: dict[str, str | None] = {"th1": "\N{GREEK SMALL LETTER THETA}1", "th2": "\N{GREEK SMALL LETTER THETA}2"}
+    columns = {headings.get(name) or name: values for name, values in table().items()}
+    file = written(tmp_path / "run.csv", {"t": columns.pop("t")} | columns)
+    file.write_bytes(file.read_text(encoding="utf-8").encode(encoding))
+    assert_array_equal(Run.from_csv(file, RIG, headings).x, RUN.y)
+
+
+def test_a_western_code_page_is_read_too(tmp_path: Path) -> None:
+    columns = table() | {"Pr\N{LATIN SMALL LETTER U WITH DIAERESIS}fer": np.zeros(len(RUN.t))}
+    file = written(tmp_path / "run.csv", columns)
+    file.write_bytes(file.read_text(encoding="utf-8").encode("cp1252"))
+    assert_array_equal(Run.from_csv(file, RIG).x, RUN.y)
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", ","])
+def test_decimal_commas_are_read(tmp_path: Path, delimiter: str) -> None:
+    words = {name: [repr(float(value)).replace(".", ",") for value in values] for name, values in table().items()}
+    assert_array_equal(Run.from_csv(written(tmp_path / "run.csv", words, delimiter), RIG).x, RUN.y)
+
+
+def test_thousands_are_told_from_decimals_by_what_comes_last(tmp_path: Path) -> None:
+    pos = np.linspace(1000.5, 2000.5, len(RUN.t))
+    for form in ("{:,.4f}".format, lambda value: f"{value:,.4f}".translate(str.maketrans(",.", ".,"))):
+        columns = table(names=("pos", "th1", "th2")) | {"pos": [form(value) for value in pos]}
+        run = Run.from_csv(written(tmp_path / "run.csv", columns, ";"), RIG, position_unit=1e-3)
+        assert_allclose(run.x[:, 0], pos / 1e3, rtol=1e-7)
+
+
+def test_commas_that_both_separate_and_mark_decimals_are_refused(tmp_path: Path) -> None:
+    words = {name: [f"{value:.6f}".replace(".", ",") for value in values] for name, values in table().items()}
+    file = written(tmp_path / "run.csv", words)
+    file.write_text(file.read_text().replace('"', ""))
+    message = (
+        f"{file}, sample 0 has 16 cells, the line of names 8. If commas are decimal signs here, semicolons or tabs "
+        "must separate the cells."
+    )
+    with pytest.raises(ValueError, match=whole(message)):
+        Run.from_csv(file, RIG)
+    mixed = table() | {"pos": ["1.234" if k % 2 else "1,234" for k in range(len(RUN.t))]}
+    message = f"{file}, column 'pos' has decimal points in some cells and commas in others."
+    with pytest.raises(ValueError, match=whole(message)):
+        Run.from_csv(written(file, mixed, ";"), RIG)
+
+
+def test_headings_in_quotes_after_a_blank_are_read(tmp_path: Path) -> None:
+    file = written(tmp_path / "run.csv", table())
+    header, _, body = file.read_text().partition("\n")
+    file.write_text(", ".join(f'"{name}"' for name in header.split(",")) + "\n" + body.replace(",", ", "))
+    assert_array_equal(Run.from_csv(file, RIG).x, RUN.y)
+
+
+def test_times_may_be_in_milliseconds(tmp_path: Path) -> None:
+    columns = table() | {"t": 1e3 * RUN.t}
+    refused(
+        tmp_path,
+        columns,
+        '{file} is sampled every 20 s, the rig every 0.02 s: are the times in ms? Give time_unit="ms".',
+    )
+    for unit in ("ms", 1e-3):
+        assert_array_equal(Run.from_csv(tmp_path / "run.csv", RIG, time_unit=unit).x, RUN.y)
+    message = 'time_unit must be "s", "ms", "us", or the seconds in one unit, above 0; got \'min\'.'
+    refused(tmp_path, columns, message, time_unit="min")
+
+
+def test_free_motion_needs_no_column_of_forces(tmp_path: Path) -> None:
+    columns = table()
+    del columns["u"]
+    run = Run.from_csv(written(tmp_path / "run.csv", columns), RIG, {"u": None})
+    assert_array_equal(run.u, np.zeros(100))
+    assert_array_equal(run.x, RUN.y)
+
+
+def test_a_clamped_cart_stands_still_without_position_or_force(tmp_path: Path) -> None:
+    columns = table(names=("th1", "th2"))
+    del columns["u"]
+    run = Run.from_csv(written(tmp_path / "run.csv", columns), RIG, clamped=True)
+    assert not run.u.any()
+    assert not run.x[:, [0, 3]].any()
+    assert_array_equal(run.x[:, 1:3], RUN.y[:, 1:3])
+
+
+@pytest.mark.parametrize("jitter", [0.05, 0.25, 0.5])
+def test_a_jittering_clock_is_resampled(tmp_path: Path, jitter: float) -> None:
+    fine = dpend.simulate(RIG.replace(sample_time=1e-4, substeps=1), Zero(), [0, 0.2, -0.1, 0, 0, 0], 1.0, task=None)
+    rng = np.random.default_rng(0)
+    places = np.sort(
+        np.clip(200 * np.arange(51) + rng.integers(-int(200 * jitter), int(200 * jitter) + 1, 51), 0, 10_000)
+    )
+    places = np.unique(np.concatenate([[0], places, [10_000]]))
+    held = rng.uniform(-1, 1, len(places))
+    columns = {"t": fine.t[places]} | {n: fine.x[places, i] for i, n in enumerate(NAMES[:3])} | {"u": held}
+    file = written(tmp_path / "run.csv", columns)
+    with pytest.raises(ValueError, match=r"is not sampled uniformly: .* Give resample=True, or raise tolerance\.$"):
+        Run.from_csv(file, RIG)
+    run = Run.from_csv(file, RIG, resample=True)
+    assert_allclose(run.t, 0.02 * np.arange(51), atol=1e-12)
+    assert_allclose(run.x[:, :3], fine.x[::200, :3], atol=3e-3)
+    assert RIG.sample_time * run.u.sum() == pytest.approx((held[:-1] * np.diff(columns["t"])).sum())
+
+
+def test_a_gap_is_not_bridged(tmp_path: Path) -> None:
+    columns = {name: np.delete(values, np.s_[31:37]) for name, values in table().items()}
+    message = "{file} has a gap of 0.14 s after sample 30, too wide to be bridged: cut the recording there."
+    refused(tmp_path, columns, message, resample=True)
+
+
+def test_a_recording_succeeds_where_no_link_fell(tmp_path: Path) -> None:
+    assert Run.from_csv(written(tmp_path / "run.csv", table()), RIG).success
+    hanging = table() | {"th1": RUN.y[:, 1] + np.pi}
+    assert not Run.from_csv(written(tmp_path / "run.csv", hanging), RIG).success
+
+
+def test_units_that_make_infinities_are_refused(tmp_path: Path) -> None:
+    message = "{file} holds numbers beyond all bounds in these units: look at the units."
+    with np.errstate(over="ignore"):
+        refused(tmp_path, table(), message, force_unit=1e308, any_size=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,9 @@ from rigs import plants, whole
 
 import dpend
 from controllers import LQR, Zero
-from dpend import Balance, Params, Rig, simulate, simulate_many
+from dpend import EQUILIBRIA, Balance, Params, Rig, simulate, simulate_many
 from dpend.params import Array
+from dpend.rig import as_rig
 
 PARTS: dict[str, Any] = {"cart_mass": 1.0, "mass1": 0.5, "mass2": 0.4, "length1": 0.8, "length2": 0.6}
 
@@ -43,7 +45,9 @@ def sphere_and_cylinder_capsule(length: float, radius: float, density: float) ->
         return mass.sum(), (mass * (squared_radius(z) / 4 + z**2)).sum()
 
     half = length / 2
-    ends = [disks(half, half + radius, lambda z: radius**2 - (z - half) ** 2)] * 2  # one half ball and its mirror image
+    ends = [
+        disks(half, half + radius, lambda z: radius**2 - (z - half) ** 2)
+    ] * 2  # one hemisphere and its mirror image
     middle = disks(-half, half, lambda z: np.full_like(z, radius**2))
     masses, inertias = zip(middle, *ends, strict=True)
     return sum(masses), sum(inertias)
@@ -223,6 +227,62 @@ def test_a_rig_survives_the_way_through_json(rig: Rig) -> None:
     assert Rig.from_dict(json.loads(text)) == rig
 
 
+def test_substeps_are_raised_only_where_friction_is_stiff() -> None:
+    assert RIG.replace(cart_coulomb=0.5).substeps == 2
+    params = RIG.params
+    mobility = dpend.linearize(params, EQUILIBRIA["down-down"])[1][
+        3, 0
+    ]  # 1 / the least mass that the cart may seem to have
+    stiff = RIG.replace(cart_coulomb=50.0)
+    assert stiff.substeps == int(np.ceil(mobility * 50.0 / 0.01 * 0.02 / 2))
+    assert RIG.replace(cart_coulomb=[0.0, 50.0]).rows(0).substeps == stiff.substeps  # a row moves alone as in its batch
+    assert stiff.replace(substeps=999).substeps == 999
+
+
+STORED = {name: dpend.rig(name) for name in dpend.rigs()} | {
+    "one a row": RIG.replace(
+        mass1=[0.5, 0.6], track_limit=[2.0, np.inf], sensor_delay=[0, 2], resolution=np.ones((2, 6))
+    ),
+    "small": RIG.replace(com1=1e-7, sensor_noise=[0, 1e-3, 1e-3, 0, 0, 0], substeps=np.int64(3)),
+}
+
+
+@pytest.mark.parametrize("rig", STORED.values(), ids=STORED)
+def test_a_rig_survives_the_way_through_toml(rig: Rig, tmp_path: Path) -> None:
+    file = rig.to_toml(tmp_path / "rig.toml")
+    assert Rig.from_toml(file) == dpend.rig(str(file)) == rig
+    assert as_rig(str(file)) == rig
+
+
+PLANT = "[params]\ncart_mass = 1\nmass1 = 0.5\nmass2 = 0.4\nlength1 = 0.8\nlength2 = 0.6\n"
+
+
+def test_a_rig_written_by_hand_needs_only_what_has_no_default(tmp_path: Path) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text("sample_time = 0.02\n" + PLANT)
+    assert dpend.rig(str(file)) == RIG
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        (PLANT, "Rig lacks sample_time"),
+        ("sample_time = 0.02", "expected a table [params] with the plant's masses and lengths"),
+        ("sample_time = 0.02\n" + PLANT.replace("mass1", "mas1"), "Params lacks mass1"),
+        ("sample_time = 0.02\nmass1 = 1\n" + PLANT, "mass1 belongs under [params]"),
+        ("sample_time = 0.02\n" + PLANT + "gravty = 1", "Params has no field 'gravty'. Did you mean 'gravity'?"),
+        ("sample_time = 0.02\nforce_limt = 1\n" + PLANT, "Rig has no field 'force_limt'. Did you mean 'force_limit'?"),
+        ("sample_time = -1\n" + PLANT, "sample_time must be finite and greater than 0 s; got -1"),
+        ("sample_time", "Expected '=' after a key in a key/value pair (at end of document)"),
+    ],
+)
+def test_a_file_that_describes_no_rig_is_refused_with_its_name(text: str, what: str, tmp_path: Path) -> None:
+    file = tmp_path / "rig.toml"
+    file.write_text(text)
+    with pytest.raises(ValueError, match=whole(f"{file} describes no rig: {what}.")):
+        Rig.from_toml(file)
+
+
 def test_a_rig_is_ideal_until_actuator_or_sensors_are_not() -> None:
     assert RIG.replace(force_limit=1.0, track_limit=1.0, cart_friction=1.0).ideal
     for change in (
@@ -341,6 +401,16 @@ def test_the_sample_time_must_be_a_whole_multiple_of_the_substep(value: Any) -> 
         f"got {value!r} for a sample time of 0.02 s."
     )
     refused(ValueError, message, lambda: RIG.replace(substeps=value))
+
+
+def test_friction_too_stiff_for_any_reasonable_number_of_substeps_is_refused() -> None:
+    mobility = dpend.linearize(RIG.params)[1][3, 0]
+    message = (
+        f"Friction stops this plant within {1e-10 / mobility:.2g} s, too fast for a sample of 0.02 s: it would take "
+        f"{int(np.ceil(mobility * 1e10 * 0.01))} substeps, more than 1000. Raise coulomb_speed, lower the friction, or "
+        "shorten sample_time."
+    )
+    refused(ValueError, message, lambda: RIG.replace(cart_coulomb=1e8))
 
 
 @pytest.mark.parametrize("name", ["actuator_delay", "sensor_delay"])
@@ -466,7 +536,7 @@ class Column:
         ),
         (
             ValueError,
-            "workers must be at least 1; got 0.",
+            "workers must be a whole number, at least 1; got 0.",
             lambda: simulate_many(RIG, Zero(), UPRIGHT, 1.0, workers=0),
         ),
         (

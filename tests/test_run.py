@@ -97,6 +97,34 @@ def test_a_file_name_without_a_suffix_is_given_one(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"one.npz", "two.run"}
 
 
+def test_a_slice_of_runs_is_runs(tmp_path: Path) -> None:
+    runs = dpend.simulate_many(one_rig_a_row(12), Feedback(), STARTS, 0.2, record=True)
+    some = runs[3:-4]
+    assert len(some) == 5
+    for one, other in zip(some, list(runs)[3:-4], strict=True):
+        assert_same(one, other)
+    assert_same(Runs.load(some.save(tmp_path / "some.npz"))[1], runs[4])
+
+
+@pytest.mark.parametrize(
+    ("row", "error", "message"),
+    [
+        (1.5, TypeError, "A run is taken out by a whole number, several by a slice: runs[0], runs[1:3]; got 1.5."),
+        (True, TypeError, "A run is taken out by a whole number, several by a slice: runs[0], runs[1:3]; got True."),
+        (
+            slice(0, 5, 2),
+            ValueError,
+            "A slice of runs must hold at least one, and neighbours only; got rows [0, 2, 4] of 12. Take others one by "
+            "one: [runs[i] for i in ...].",
+        ),
+    ],
+)
+def test_what_is_no_row_is_refused(row: Any, error: type[Exception], message: str) -> None:
+    runs = dpend.simulate_many(RIG, Feedback(), STARTS, 0.1, record=True)
+    with pytest.raises(error, match=whole(message)):
+        runs[row]
+
+
 class Trap:
     """What a pickle runs when it is opened."""
 
@@ -120,12 +148,18 @@ def npy(array: Any) -> bytes:
 
 
 def parts_of(saved: Path) -> dict[str, Any]:
+    """Return what a file holds without its checksum, as files of the first version had none."""
     with np.load(saved) as file:
-        return dict(file)
+        return {name: file[name] for name in file.files if name != "checksum"}
 
 
-def with_about(parts: dict[str, Any], **changes: Any) -> bytes:
-    return npz(**parts | {"about": np.array(json.dumps(json.loads(str(parts["about"])) | changes))})
+def with_header(parts: dict[str, Any], **changes: Any) -> bytes:
+    return npz(**parts | {"header": np.array(json.dumps(json.loads(str(parts["header"])) | changes))})
+
+
+def refusal(path: Path, kind: str) -> str:
+    before = re.escape(f"{path} cannot be read as {kind!r}: ")
+    return f"^{before}[^.].+{re.escape('. Save it anew, or copy it again.')}$"
 
 
 def trapped(sprung: Path) -> Any:
@@ -141,12 +175,12 @@ FOREIGN: dict[str, Callable[[dict[str, Any], bytes, Path], bytes]] = {
     "a pickle": lambda parts, good, sprung: pickle.dumps(Trap(sprung)),
     "a pickled array": lambda parts, good, sprung: npy(trapped(sprung)),
     "a pickle for the states": lambda parts, good, sprung: npz(**parts | {"x": trapped(sprung)}),
-    "a pickle for the words": lambda parts, good, sprung: npz(**parts | {"about": trapped(sprung)}),
-    "another format": lambda parts, good, sprung: with_about(parts, format="dpend run 99"),
-    "an unknown status": lambda parts, good, sprung: with_about(parts, status="EXPLODED"),
-    "an unknown field": lambda parts, good, sprung: with_about(parts, color="red"),
-    "an impossible rig": lambda parts, good, sprung: with_about(parts, rig=RIG.to_dict() | {"sample_time": -1.0}),
-    "words that are no record": lambda parts, good, sprung: npz(**parts | {"about": np.array("[1, 2]")}),
+    "a pickle for the words": lambda parts, good, sprung: npz(**parts | {"header": trapped(sprung)}),
+    "another format": lambda parts, good, sprung: with_header(parts, format="dpend run 99"),
+    "an unknown status": lambda parts, good, sprung: with_header(parts, status="EXPLODED"),
+    "an unknown field": lambda parts, good, sprung: with_header(parts, color="red"),
+    "an impossible rig": lambda parts, good, sprung: with_header(parts, rig=RIG.to_dict() | {"sample_time": -1.0}),
+    "words that are no record": lambda parts, good, sprung: npz(**parts | {"header": np.array("[1, 2]")}),
     "states of another shape": lambda parts, good, sprung: npz(**parts | {"x": parts["x"][:, :4]}),
     "fewer measurements": lambda parts, good, sprung: npz(**parts | {"y": parts["y"][:-1]}),
     "numbers of another kind": lambda parts, good, sprung: npz(**parts | {"u": parts["u"].astype(np.complex128)}),
@@ -163,7 +197,7 @@ def test_what_is_no_saved_run_is_refused_and_runs_nothing(
     good = RUNS["ideal"]().save(tmp_path / "good.npz")
     path, sprung = tmp_path / "foreign.npz", tmp_path / "sprung"
     path.write_bytes(content(parts_of(good), good.read_bytes(), sprung))
-    with pytest.raises(ValueError, match=whole(f"{path} is not a run saved by Run.save, or it is damaged.")):
+    with pytest.raises(ValueError, match=refusal(path, "dpend run 1")):
         Run.load(path)
     assert not sprung.exists()
 
@@ -380,7 +414,7 @@ def test_saved_runs_come_back_exactly(tmp_path, record):
 def test_one_run_is_not_taken_for_many(tmp_path):
     rig = dpend.rig("gustafsson2016")
     file = dpend.simulate(rig, LQR(rig), np.zeros(6), 0.1).save(tmp_path / "one")
-    message = f"{file} is not runs saved by Runs.save, or it is damaged."
+    message = f"{file} cannot be read as 'dpend runs 1': it is 'dpend run 1'. Save it anew, or copy it again."
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         dpend.Runs.load(file)
 

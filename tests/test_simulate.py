@@ -459,6 +459,7 @@ def test_a_push_on_the_cart_is_as_good_as_the_actuators_force() -> None:
     pushed = simulate(rig, Zero(), HANGING, 0.4, task=None, push=lambda t: [table[round(t / 0.02)], 0.0, 0.0])
     told = simulate(rig, Script(table), HANGING, 0.4, task=None)
     assert_array_equal(pushed.x, told.x)
+    assert_array_equal(pushed.log["push_cart"], table[: len(pushed.u)])
     assert not pushed.u.any()
 
 

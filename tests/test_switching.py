@@ -152,11 +152,11 @@ def test_wrong_use_is_refused() -> None:
     with pytest.raises(ValueError, match=whole("level must be greater than 0; got 0.")):
         Ellipsoid(LQR(RIG), 0)
     with pytest.raises(
-        TypeError, match=whole("region must tell which states (n, 6) belong to it, as a function; got 3.")
+        TypeError, match=whole("region must say which states (n, 6) belong to it, as a function; got 3.")
     ):
         SwitchingController(RIG, Constant(1.0), region=3)  # type: ignore[arg-type]
     with pytest.raises(
-        ValueError, match=whole("Counting treats one run at a time; looking ahead takes a batched law.")
+        ValueError, match=whole("Counting treats one run at a time; a rollout of many states takes a batched law.")
     ):
         RolloutRegion(RIG, Counting())
     with pytest.raises(ValueError, match=whole("duration and within must be greater than 0; got -1.0 s and 0.2 rad.")):

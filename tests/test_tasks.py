@@ -187,12 +187,12 @@ def test_tasks_are_as_long_as_the_reports_unless_told_otherwise() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Balance(steps=0), "steps must be a whole number of samples, at least 1; got 0."),
+        (lambda: Balance(steps=0), "steps must be a whole number, at least 1; got 0."),
         (
             lambda: Balance(steps=2.5),  # pyright: ignore[reportArgumentType]
-            "steps must be a whole number of samples, at least 1; got 2.5.",
+            "steps must be a whole number, at least 1; got 2.5.",
         ),
-        (lambda: SwingUp(steps=True), "steps must be a whole number of samples, at least 1; got True."),
+        (lambda: SwingUp(steps=True), "steps must be a whole number, at least 1; got True."),
         (lambda: Balance(criterion="lax"), 'criterion must be "strict" or "report"; got \'lax\'.'),
         (
             lambda: SwingUp(start="top"),

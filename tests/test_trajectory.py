@@ -56,8 +56,8 @@ def test_what_is_no_saved_trajectory_is_refused(tmp_path: Path) -> None:
     run = dpend.simulate(RIG, _Push(), dpend.EQUILIBRIA["down-down"], 0.2, task=None).save(tmp_path / "run.npz")
     cut = tmp_path / "cut.npz"
     cut.write_bytes(swinging().save(tmp_path / "whole.npz").read_bytes()[:-100])
-    for path in (run, cut):
-        message = f"{path} is not a trajectory saved by Trajectory.save, or it is damaged."
+    for path, reason in ((run, "it is 'dpend run 1'"), (cut, "it is empty, cut short, damaged or no .npz at all")):
+        message = f"{path} cannot be read as 'dpend trajectory 1': {reason}. Save it anew, or copy it again."
         with pytest.raises(ValueError, match=whole(message)):
             Trajectory.load(path)
     with pytest.raises(FileNotFoundError):

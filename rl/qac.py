@@ -1,0 +1,311 @@
+r"""Gaussian QAC, the report's Algorithm 2: an actor-critic with a Gaussian policy, to the letter.
+
+The actor draws :math:`a \sim \mathcal N(\varphi(s)^\top v, \sigma^2)`, the critic is
+:math:`\hat q(s, a) = x(s, a)^\top w`, and every step does
+
+.. math::
+    v \leftarrow v + \alpha \frac{(a_t - \mu(s_t))\,\varphi(s_t)}{\sigma^2}\,\hat q(s_t, a_t), \qquad
+    w \leftarrow w + \beta\,\bigl(r_{t+1} + \gamma\,\hat q(s_{t+1}, a_{t+1}) - \hat q(s_t, a_t)\bigr)\,x(s_t, a_t).
+
+``docs/gaussian-qac.md`` lists what the report leaves open; the tuned variant is :class:`rl.natural_qac.NaturalQAC`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from dpend.arguments import checked_whole
+from dpend.deprecation import renamed_arguments, warn_renamed
+from dpend.kernels import compiled, inline, report_cost, status_code, wrap_angle
+from dpend.rig import Rig
+from dpend.suggest import suggests
+from dpend.tasks import Balance
+
+from . import features
+from ._episode import episode, moved, started
+from .natural_qac import NaturalQAC
+from .policies import INDICATORS, TableOneMean
+from .training import Outcome, Progress, Seed, Session, Training, check_ranges, training_rig
+
+_STREAM = 1968  # sets learning apart from starts drawn with the same seed
+_CHUNK = 500  # episodes between two looks at the keyboard and the progress bar
+
+
+@renamed_arguments(spread="init_std")
+@suggests
+@dataclass(frozen=True, kw_only=True)
+class GaussianQAC:
+    r"""Algorithm 2 of the report on a rig.
+
+    Learning counts as converged after ``streak`` successful episodes in a row, which end it.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        An ideal one: no noise, delay or lag; or the name of a preset.
+    task : Balance
+        Starts, episode length, failure, and the costs whose negative is the reward.
+    alpha : float
+        Step size of the actor.
+    beta : float
+        Step size of the critic.
+    sigma : float
+        Standard deviation of the policy, N.
+    gamma : float
+        Discount factor.
+    indicators : {"none", "signs", "cells"}
+        Further features of the state for actor and critic, see :data:`rl.policies.INDICATORS`.
+    init_std : float
+        Standard deviation of the normal numbers that :math:`v_0` and :math:`w_0` are drawn from; zero for zeros.
+    streak : int
+        Successful episodes in a row that count as convergence.
+    max_episodes : int
+        Budget of learning episodes.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the rig is not ideal.
+    """
+
+    rig: Rig = field(kw_only=False)
+    task: Balance = Balance()  # noqa: RUF009  (frozen)
+    alpha: float = 1e-4
+    beta: float = 1e-4
+    sigma: float = 1.0
+    gamma: float = 0.99
+    indicators: str = "none"
+    init_std: float = 0.0
+    streak: int = 20
+    max_episodes: int = 2000
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rig", training_rig(self.rig, "GaussianQAC"))
+        if not isinstance(self.task, Balance):
+            raise TypeError(f"task must be a dpend.Balance; got {self.task!r}.")
+        if self.indicators not in INDICATORS:
+            raise ValueError(f"indicators must be one of {', '.join(map(repr, INDICATORS))}; got {self.indicators!r}.")
+        for name in ("streak", "max_episodes"):
+            checked_whole(name, getattr(self, name))
+        check_ranges(
+            self,
+            ("alpha", 0 < self.alpha < math.inf, "finite and greater than 0"),
+            ("beta", 0 < self.beta < math.inf, "finite and greater than 0"),
+            ("sigma", 0 < self.sigma < math.inf, "finite and greater than 0"),
+            ("gamma", 0 < self.gamma <= 1, "above 0 and at most 1"),
+            ("init_std", 0 <= self.init_std < math.inf, "finite and at least 0"),
+        )
+
+    @classmethod
+    def published(
+        cls,
+        rig: Rig | str,
+        *,
+        alpha: float = 1e-4,
+        beta: float = 1e-4,
+        variance: float = 1.0,
+        init_std: float = 0.0,
+        indicators: str = "none",
+        max_episodes: int = 2000,
+        spread: float | None = None,
+    ) -> GaussianQAC:
+        r"""Return the report's learner to the letter, with a choice of what the report tried.
+
+        The cost is that of the code published with it, and link 1 alone falls.
+
+        Parameters
+        ----------
+        rig : Rig or str
+            The rig, or the name of a preset.
+        alpha, beta : float
+            Step sizes; the report tried values within 1e-8 and 1e-1.
+        variance : float
+            :math:`\sigma^2`, N²; the report tried values within 0.001 and 10.
+        init_std : float
+            Standard deviation of the initial weights.
+        indicators : {"none", "signs", "cells"}
+            Further features.
+        max_episodes : int
+            Budget of learning episodes.
+        spread : float, optional
+            The name that ``init_std`` had.
+        """
+        if spread is not None:
+            warn_renamed("GaussianQAC.published(spread=...)", "GaussianQAC.published(init_std=...)")
+            init_std = spread
+        return cls(
+            training_rig(rig, "GaussianQAC"),
+            task=Balance(criterion="report"),
+            alpha=alpha,
+            beta=beta,
+            sigma=math.sqrt(variance),
+            init_std=init_std,
+            indicators=indicators,
+            max_episodes=max_episodes,
+        )
+
+    @staticmethod
+    def tuned(rig: Rig | str) -> NaturalQAC:
+        """Return the learner with the deviations that ``docs/gaussian-qac.md`` numbers, a natural actor-critic.
+
+        The numbers were tuned on the preset ``gustafsson2016``; on another rig they are a start.
+
+        Parameters
+        ----------
+        rig : Rig or str
+            The rig, or the name of a preset.
+        """
+        return NaturalQAC(training_rig(rig, "GaussianQAC"))
+
+    def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
+        """Learn, as every :class:`rl.Learner` does; the policy is the actor's mean, a :class:`rl.TableOneMean`.
+
+        Each learning episode has in ``curve`` its ``length``, ``reward`` and ``success``; ``details`` has ``weights``
+        (episodes, 12 + k), the actor's after each, and those of actor and critic at the end, ``v`` and ``w``, finite
+        even where they diverged.
+        """
+        session = Session(self, seed, seconds, progress, _STREAM)
+        rng, plant, most = session.rng, episode(self.rig, self.task), self.max_episodes
+        settings = _Settings(
+            alpha=float(self.alpha),
+            beta=float(self.beta),
+            sigma=float(self.sigma),
+            gamma=float(self.gamma),
+            indicators=INDICATORS[self.indicators],
+            streak=int(self.streak),
+        )
+        m = 12 + settings.indicators
+        v, w = self.init_std * rng.standard_normal(m), self.init_std * rng.standard_normal(m + 6)
+        lengths, rewards = np.zeros(most, dtype=np.int64), np.zeros(most)
+        success, history = np.zeros(most, dtype=np.bool_), np.zeros((most, m))
+        outcome, episodes, streak = Outcome.BUDGET_SPENT, 0, 0
+        while episodes < most and session.left:
+            rows = slice(episodes, min(episodes + _CHUNK, most))
+            records = lengths[rows], rewards[rows], success[rows], history[rows]
+            done, streak, finite = _run_episodes(v, w, settings, plant, streak, session.left, rng, *records)
+            episodes += done
+            session.spent = int(lengths.sum())
+            session.report(episodes / most)
+            if not finite or streak >= self.streak:
+                outcome = Outcome.CONVERGED if finite else Outcome.DIVERGED
+                break
+        ran = slice(episodes)
+        return session.training(
+            outcome,
+            partial(TableOneMean, indicators=self.indicators),
+            v,
+            (np.cumsum(lengths[ran]), history[ran]),
+            {"length": lengths[ran], "reward": rewards[ran], "success": success[ran]},
+            {"weights": history[ran], "v": v, "w": w},
+        )
+
+
+class _Settings(NamedTuple):
+    """What the compiled loop needs to know beside the episode."""
+
+    alpha: float
+    beta: float
+    sigma: float
+    gamma: float
+    indicators: int
+    streak: int
+
+
+_value_features = inline(features.make_value_features(wrap_angle))
+_slope_features = inline(features.slope_features)
+
+
+@inline
+def _write_features(x, indicators, phi, slope):
+    """Write the features of a state: those of actor and critic, and the critic's factors of the action."""
+    value = _value_features(x)
+    for i in range(12):
+        phi[i] = value[i]
+    if indicators == 3:
+        for i in range(3):
+            phi[12 + i] = 1.0 if value[2 * i + 1] > 0.0 else 0.0
+    elif indicators == 8:
+        cell = (4 if value[1] > 0.0 else 0) + (2 if value[3] > 0.0 else 0) + (1 if value[5] > 0.0 else 0)
+        for i in range(8):
+            phi[12 + i] = 1.0 if i == cell else 0.0
+    raw = _slope_features(x)
+    for i in range(6):
+        slope[i] = raw[i]
+
+
+@inline
+def _q(w, phi, slope, a):
+    q = 0.0
+    for i in range(len(phi)):
+        q += w[i] * phi[i]
+    for i in range(6):
+        q += w[len(phi) + i] * a * slope[i]
+    return q
+
+
+@inline
+def _mean(v, phi):
+    mean = 0.0
+    for i in range(len(phi)):
+        mean += v[i] * phi[i]
+    return mean
+
+
+@compiled
+def _run_episodes(v, w, settings, e, streak, budget, rng, lengths, rewards, success, history):
+    """Run Algorithm 2 for some episodes, changing ``v`` and ``w``; stop early at the streak, the budget or overflow.
+
+    Returns the episodes completed, the successes in a row at their end, and whether the weights are still finite.
+    """
+    s, rule = settings, e.rule
+    m = len(v)
+    phi, phi_next = np.empty(m), np.empty(m)
+    slope, slope_next = np.empty(6), np.empty(6)
+    for k in range(len(lengths)):
+        x = started(e, rng)
+        _write_features(x, s.indicators, phi, slope)
+        a = _mean(v, phi) + s.sigma * rng.standard_normal()
+        code = 0
+        t = 0
+        while t < e.steps and code == 0:
+            if t >= budget:
+                lengths[k] = t  # an episode that the budget cuts off counts by its samples only
+                return k, streak, True
+            x = moved(e, x, a)
+            code = status_code(x, rule.bounds)
+            reward = -report_cost(x, code, rule.target, rule.weights, rule.failure_cost)
+            _write_features(x, s.indicators, phi_next, slope_next)
+            a_next = _mean(v, phi_next) + s.sigma * rng.standard_normal()
+            q = _q(w, phi, slope, a)
+            delta = reward + s.gamma * _q(w, phi_next, slope_next, a_next) - q
+            ascent = s.alpha * (a - _mean(v, phi)) / (s.sigma * s.sigma) * q
+            largest = 0.0
+            for i in range(m):
+                largest = max(largest, abs(ascent * phi[i]), abs(s.beta * delta * phi[i]))
+            for i in range(6):
+                largest = max(largest, abs(s.beta * delta * a * slope[i]))
+            if not largest < 1e100:
+                return k, streak, False
+            for i in range(m):
+                v[i] += ascent * phi[i]
+                w[i] += s.beta * delta * phi[i]
+            for i in range(6):
+                w[m + i] += s.beta * delta * a * slope[i]
+            phi[:] = phi_next
+            slope[:] = slope_next
+            a = a_next
+            rewards[k] += reward
+            t += 1
+        budget -= t
+        lengths[k] = t
+        history[k] = v
+        success[k] = code == 0
+        streak = streak + 1 if success[k] else 0
+        if streak >= s.streak:
+            return k + 1, streak, True
+    return len(lengths), streak, True

@@ -1,0 +1,433 @@
+r"""Recipes of deep reinforcement learning: everything that a training depends on but its seed, and its environments.
+
+:mod:`rl.deep` follows them; what is seen and rewarded is stated in :mod:`rl.shaping`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import wraps
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Optional, TypeVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+import dpend
+from dpend.arguments import checked_whole
+from dpend.deprecation import warn_renamed
+from dpend.rig import Rig, as_rig
+from dpend.suggest import suggestion, suggests
+from dpend.tasks import Balance, SwingUp
+from dpend.vector_env import CartDoublePendulumVectorEnv
+
+from .shaping import Shaped
+from .training import check_ranges
+
+Value = TypeVar("Value")
+if TYPE_CHECKING:
+    Filled = Annotated[Value, "None until the default is filled in"]
+else:
+    Filled = Optional  # to who builds a recipe; who reads one finds a value
+_DEFAULT: Any = None
+
+NEEDED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"torch": ("torch", "stable_baselines3"), "jax": ("torch", "stable_baselines3", "jax", "sbx")}
+)
+"""What must be installed for a training, by ``DeepRecipe.library``."""
+
+INSTALL: Mapping[str, str] = MappingProxyType(
+    {
+        "torch": "Deep learners need torch and Stable-Baselines3, the extra `deep`: pip install -e '.[deep]'",
+        "jax": "Deep learners in JAX need SBX and Stable-Baselines3, the extra `jax`: pip install -e '.[jax]'",
+    }
+)
+"""What to do where something of it is missing."""
+
+EPISODE = 10.0
+"""Length of a swing-up that is evaluated, and of an episode where a recipe leaves it out, s."""
+
+ROLLOUT = 64
+"""Steps that PPO takes in every copy between two rounds of updates."""
+
+_LONGEST_HOLD = 0.04  # s
+_OFF_POLICY: dict[str, Any] = {
+    "steps": 300_000,
+    "copies": 16,
+    "batch": 256,
+    "learning_rate": (1e-3, 1e-4),
+    "updates": 0.5,
+    "noise": 0.2,
+    "evaluate_every": 10_000,
+}
+DEFAULTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "ppo": {
+            "steps": 8_000_000,
+            "copies": 512,
+            "batch": 1024,
+            "learning_rate": (1e-3, 5e-5),
+            "updates": 4 / 1024,
+            "noise": math.exp(-0.5),
+            "evaluate_every": 262_144,
+        },
+        "ddpg": _OFF_POLICY,
+        "td3": _OFF_POLICY,
+        "sac": _OFF_POLICY,
+    }
+)
+"""What a recipe takes for settings that are left out, by algorithm."""
+
+
+@suggests
+@dataclass(frozen=True, kw_only=True)
+class PPOSettings:
+    """What only PPO knows.
+
+    Parameters
+    ----------
+    target_kl : float, optional
+        A round of updates ends early where they have moved the policy by 1.5 times this Kullback-Leibler divergence,
+        nats; left out, never.
+    caps : (float, float, float), optional
+        Conditioning for action policy smoothness (Mysore et al. 2021) in the loss: weights of the temporal and of
+        the spatial term, and the standard deviation of the spatial one.
+    """
+
+    target_kl: float | None = None
+    caps: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        check_ranges(
+            self,
+            ("target_kl", self.target_kl is None or 0 < self.target_kl < math.inf, "greater than 0, or None"),
+            ("caps", self.caps is None or (len(self.caps) == 3 and min(self.caps) >= 0), "three numbers, at least 0"),
+        )
+
+
+@suggests
+@dataclass(frozen=True, kw_only=True)
+class OffPolicySettings:
+    """What only DDPG, TD3 and SAC know.
+
+    Parameters
+    ----------
+    first_actions : float
+        Factor on the last layer of the actor before anything is learned; a small one begins with
+        hardly any force, as the DDPG paper does.
+    library : {"torch", "jax"}
+        What computes: Stable-Baselines3 in torch, or its sibling SBX in JAX, the same algorithms
+        compiled.
+    layer_norm : bool
+        Whether the critics normalise their layers.
+    mirror : bool
+        Whether to learn from transitions and their mirror images, each half the time; the plant and the
+        reward know no left and right.
+    """
+
+    first_actions: float = 1.0
+    library: Literal["torch", "jax"] = "torch"
+    layer_norm: bool = True
+    mirror: bool = False
+
+    def __post_init__(self) -> None:
+        if self.library not in NEEDED:
+            raise ValueError(f"There is no library {self.library!r}.{suggestion(str(self.library), NEEDED)}")
+        check_ranges(self, ("first_actions", 0 < self.first_actions <= 1, "above 0, at most 1"))
+
+
+_OWN: Mapping[str, tuple[str, type]] = MappingProxyType(
+    {
+        each.name: (holder, kind)
+        for holder, kind in (("ppo", PPOSettings), ("off_policy", OffPolicySettings))
+        for each in fields(kind)
+    }
+)
+"""Where each setting of some algorithms alone is kept."""
+
+
+def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings with those of some algorithms alone where they are kept."""
+    nested = {name: value for name, value in settings.items() if name not in _OWN}
+    for name in settings.keys() & _OWN.keys():
+        holder, kind = _OWN[name]
+        nested[holder] = replace(nested.get(holder, kind()), **{name: settings[name]})
+    return nested
+
+
+def _takes_flat_settings(recipe: type[Value]) -> type[Value]:
+    """Let a recipe still take the settings of some algorithms alone as its own, with a warning."""
+    build: Callable[..., None] = recipe.__init__
+
+    @wraps(build)
+    def __init__(self: Any, *args: Any, **keywords: Any) -> None:
+        for name in keywords.keys() & _OWN.keys():
+            holder, kind = _OWN[name]
+            warn_renamed(f"DeepRecipe({name}=...)", f"DeepRecipe({holder}={kind.__name__}({name}=...))")
+        build(self, *args, **_nested(keywords))
+
+    recipe.__init__ = __init__
+    return recipe
+
+
+@_takes_flat_settings
+@suggests
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DeepRecipe:
+    r"""All that a deep training depends on but its seed.
+
+    What is left out, or None, is the algorithm's own, from ``rl.recipes.DEFAULTS``, or follows from the task; zero is
+    zero.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        A single one with a force limit, or the name of a preset.
+    algo : {"ppo", "ddpg", "td3", "sac"}
+        The algorithm.
+    task : {"swing-up", "balance"}
+        What to learn.
+    env : str, optional
+        A Gymnasium environment of another plant with continuous actions, such as ``"InvertedDoublePendulum-v5"``, in
+        place of task and rig, with its own observation and reward.  What is learned is then a network
+        from its observations to actions, -1 and 1 being the ends of their range.
+    starts : {"mixed", "rest"}
+        Where episodes of the swing-up begin: hanging, horizontal to the side, near upright or anywhere, each equally
+        often; or at rest alone, hanging or horizontal to the side.
+    near : float
+        Greatest angle of those near upright, rad; for mixed starts of the swing-up alone.
+    steps : int
+        Environment steps in all copies together.
+    copies : int
+        Environments side by side.
+    net : tuple of int
+        Widths of the hidden layers, of actor and critic alike.
+    batch : int
+        Transitions in an update.
+    learning_rate : (float, float)
+        At the beginning and at the end, falling in a straight line.
+    updates : float
+        Updates for each environment step.
+    gamma : float
+        Discount factor.
+    noise : float
+        Standard deviation of the actions at first (PPO) or of what is added to them (DDPG, TD3), in shares of the force
+        limit.
+    period : float
+        How long a force is held, s; a whole number of samples.  Left out, the greatest up to 0.04 s for the swing-up
+        and one sample for balancing.
+    episode : float
+        How long an episode lasts at most while learning, s; left out, 10 s of the swing-up and the task's own of
+        balancing.  Evaluations last as long as ever.
+    action_rate : float
+        Weight w of the penalty w |a_t - a_{t-1}| near upright, which grows from nothing to this in the first half of
+        the steps, at each evaluation; the last action is then observed.
+    sensor_noise : float, optional
+        Standard deviation of noise on every measured state while learning (m, rad, m/s, rad/s), in place of the rig's
+        own.  Evaluations are on the rig as it is.
+    evaluate_every : int
+        Environment steps between evaluations.
+    evaluation_starts : int
+        Starts of an evaluation, the same at each.
+    enough : float, optional
+        Share of success in an evaluation that ends the training; left out, all steps are taken.
+    ppo : PPOSettings
+        What PPO alone knows.
+    off_policy : OffPolicySettings
+        What DDPG, TD3 and SAC alone know.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If a value is of the wrong kind or out of its range; the message says what was expected.
+    """
+
+    rig: Rig = field(default_factory=lambda: dpend.rig("gustafsson2016"), kw_only=False)
+    algo: Literal["ppo", "ddpg", "td3", "sac"] = "ppo"
+    task: Literal["swing-up", "balance"] = "swing-up"
+    env: str | None = None
+    starts: Literal["mixed", "rest"] = "mixed"
+    near: float = 0.1
+    steps: Filled[int] = _DEFAULT
+    copies: Filled[int] = _DEFAULT
+    net: tuple[int, ...] = (64, 64)
+    batch: Filled[int] = _DEFAULT
+    learning_rate: Filled[tuple[float, float]] = _DEFAULT
+    updates: Filled[float] = _DEFAULT
+    gamma: float = 0.99
+    noise: Filled[float] = _DEFAULT
+    period: Filled[float] = _DEFAULT
+    episode: Filled[float] = _DEFAULT
+    action_rate: float = 0.0
+    sensor_noise: float | None = None
+    evaluate_every: Filled[int] = _DEFAULT
+    evaluation_starts: int = 400
+    enough: float | None = None
+    ppo: PPOSettings = PPOSettings()
+    off_policy: OffPolicySettings = OffPolicySettings()
+
+    def __post_init__(self) -> None:
+        for name, known in (("algo", DEFAULTS), ("task", ("swing-up", "balance")), ("starts", ("mixed", "rest"))):
+            value = getattr(self, name)
+            if value not in known:
+                raise ValueError(f"There is no {name} {value!r}.{suggestion(str(value), known)}")
+        object.__setattr__(self, "rig", as_rig(self.rig))
+        self._fill(**DEFAULTS[self.algo])
+        if not self.env:
+            self._check_plant()
+        for name in ("steps", "copies", "batch", "evaluate_every", "evaluation_starts"):
+            checked_whole(name, getattr(self, name))
+        noise, wanted = (self.noise > 0, "greater than 0") if self.algo == "ppo" else (self.noise >= 0, "at least 0")
+        check_ranges(
+            self,
+            ("learning_rate", len(self.learning_rate) == 2 and min(self.learning_rate) > 0, "two numbers above 0"),
+            ("updates", 0 < self.updates < math.inf, "greater than 0"),
+            ("gamma", 0 < self.gamma < 1, "between 0 and 1"),
+            ("noise", noise and self.noise < math.inf, wanted),
+            ("near", 0 < self.near <= math.pi / 2, "above 0, at most π/2"),
+            ("action_rate", 0 <= self.action_rate < math.inf, "at least 0"),
+            ("sensor_noise", self.sensor_noise is None or 0 <= self.sensor_noise < math.inf, "at least 0"),
+            ("enough", self.enough is None or 0 <= self.enough <= 1, "within 0 and 1"),
+            ("net", len(self.net) > 0 and min(self.net) >= 1, "one or more widths, at least 1"),
+        )
+        self._check_own()
+        if self.near != type(self).near and (self.env or self.task != "swing-up" or self.starts != "mixed"):
+            raise ValueError(
+                f"near is for mixed starts of the swing-up; got {self.starts!r} of {self.env or self.task!r}."
+            )
+
+    def _fill(self, **defaults: Any) -> None:
+        for name, value in defaults.items():
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, value)
+
+    def _check_plant(self) -> None:
+        """Refuse rigs, periods and episodes that do not go together."""
+        rig = self.rig
+        if rig.n is not None:
+            raise ValueError(f"A recipe has one rig; this one describes {rig.n} rows.")
+        if not np.isfinite(rig.force_limit):
+            raise ValueError(
+                "Actions are shares of the force limit: expected a finite one; got inf. "
+                "Set it with rig.replace(force_limit=...), in N."
+            )
+        swing = self.task == "swing-up"
+        longest = _LONGEST_HOLD if swing and rig.ideal else rig.sample_time
+        self._fill(
+            period=max(int(longest / rig.sample_time + 1e-9), 1) * rig.sample_time,
+            episode=EPISODE if swing else Balance().steps * rig.sample_time,
+        )
+        if abs(self.samples * rig.sample_time - self.period) > 1e-9 or self.samples < 1:
+            raise ValueError(
+                f"period must be a whole number of samples of {rig.sample_time:g} s; got {self.period:g} s."
+            )
+        if self.samples > 1 and not rig.ideal:
+            raise ValueError(
+                "Forces can be held for several samples on ideal rigs only; got one with lag, delay, noise or "
+                f"rounding: expected period = {rig.sample_time:g} s, the sample time."
+            )
+        check_ranges(self, ("episode", 0 < self.episode < math.inf, "greater than 0"))
+
+    def _check_own(self) -> None:
+        """Refuse settings that this algorithm, or another environment, does not know."""
+        holder, whose = ("off_policy", "DDPG, TD3 and SAC") if self.algo == "ppo" else ("ppo", "PPO")
+        strange = getattr(self, holder)
+        for each in fields(strange):
+            if getattr(strange, each.name) != each.default:
+                remedy = {"caps": " Use action_rate.", "first_actions": " Use noise."}.get(each.name, "")
+                raise ValueError(f"{each.name} is for {whose}; got algo {self.algo!r}.{remedy}")
+        for name in ("episode", "action_rate", "sensor_noise"):
+            if self.env and getattr(self, name):
+                raise ValueError(f"{name} is for our own plant; got env {self.env!r}.")
+        if self.env and self.off_policy.mirror:
+            raise ValueError(f"mirror is for our own plant; got env {self.env!r}.")
+
+    @property
+    def library(self) -> Literal["torch", "jax"]:
+        """What the training computes with."""
+        return "torch" if self.algo == "ppo" else self.off_policy.library
+
+    @property
+    def samples(self) -> int:
+        """Samples of the rig that a force is held for."""
+        return round(self.period / self.rig.sample_time)
+
+    @property
+    def round(self) -> int:
+        """Environment steps that are taken at once, in all copies together."""
+        return self.copies * (ROLLOUT if self.algo == "ppo" else 1)
+
+    @property
+    def name(self) -> str:
+        """What is learned by what, for folders and tables."""
+        parts = [self.algo, self.env or self.task]
+        parts += ["rest"] * (self.starts == "rest" and not self.env)
+        parts += ["smooth"] * bool(self.action_rate or any(self.ppo.caps or ()))
+        return "-".join(parts).lower()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all settings that this algorithm knows as plain values, for records."""
+        own = self.ppo if self.algo == "ppo" else self.off_policy
+        plain = {each.name: getattr(self, each.name) for each in fields(DeepRecipe)} | vars(own)
+        del plain["ppo"], plain["off_policy"]
+        return plain | {"rig": self.rig.to_dict()}
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> DeepRecipe:
+        """Build a recipe from what :meth:`to_dict` returned, whatever its age; lists stand for tuples.
+
+        Records from before None meant default hold the settings of all algorithms, and zeros for what was left out.
+        """
+        settings = {name: tuple(value) if isinstance(value, list) else value for name, value in record.items()}
+        if {"caps", "layer_norm"} <= settings.keys():
+            holder = "ppo" if settings["algo"] == "ppo" else "off_policy"
+            settings = {
+                name: None if name in _ZERO_WAS_NONE and not np.any(value) else value
+                for name, value in settings.items()
+                if name not in _OWN or _OWN[name][0] == holder
+            }
+        return cls(**_nested(settings | {"rig": Rig.from_dict(record["rig"])}))
+
+
+_ZERO_WAS_NONE = ("env", "period", "episode", "target_kl", "caps", "sensor_noise", "enough")
+
+
+def training_envs(recipe: DeepRecipe) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Return the environments that a recipe is trained in: copies that start again in the step that ends an episode.
+
+    Parameters
+    ----------
+    recipe : DeepRecipe
+        The recipe.
+
+    Returns
+    -------
+    gymnasium.vector.VectorEnv
+    """
+    if recipe.env:
+        return gym.make_vec(
+            recipe.env,
+            num_envs=recipe.copies,
+            vectorization_mode="sync",
+            vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP},
+        )
+    # Holding a force for k samples is sampling k times more slowly, with as many substeps.
+    rig = recipe.rig
+    slow = rig.replace(
+        sample_time=recipe.period,
+        substeps=rig.substeps * recipe.samples,
+        sensor_noise=rig.sensor_noise if recipe.sensor_noise is None else recipe.sensor_noise,
+    )
+    if recipe.task == "balance":
+        task: Balance | SwingUp = Balance(lam=0.4)
+        mixture: Sequence[Balance | SwingUp] = [task]
+    else:
+        task = SwingUp()
+        mixture = [SwingUp(start=start, angle_spread=0.1) for start in ("hanging", "side")]
+        if recipe.starts == "mixed":
+            mixture = [*mixture, Balance(lam=recipe.near), SwingUp(start="anywhere")]
+    shaped = Shaped(task=task, rig=rig, mixture=mixture, steps=max(round(recipe.episode / recipe.period), 1))
+    return CartDoublePendulumVectorEnv(shaped, slow, recipe.copies, autoreset_mode=AutoresetMode.SAME_STEP)

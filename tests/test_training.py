@@ -1,0 +1,255 @@
+"""The contract of all learners, and of one that is written on the spot: what they take, and what a training returns."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dpend
+from dpend.archive import read
+from rl import (
+    LSPI,
+    Cost,
+    GainPolicy,
+    GaussianQAC,
+    Learner,
+    LinearQLearning,
+    NaturalQAC,
+    Outcome,
+    QuadraticQLearning,
+    Training,
+    load_policy,
+)
+from rl.training import Trail, task_name
+from tests.rigs import whole
+
+RIG = dpend.rig("gustafsson2016")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrossEntropy:
+    """Gains drawn from a normal distribution that is fitted to the best of them."""
+
+    rig: dpend.Rig = field(kw_only=False)
+    task: dpend.Balance = field(default_factory=lambda: dpend.Balance(steps=100))
+    rounds: int = 4
+    population: int = 16
+
+    def __post_init__(self) -> None:
+        if isinstance(self.rig, str):
+            object.__setattr__(self, "rig", dpend.rig(self.rig))
+
+    def train(self, seed, *, seconds=None, progress=None) -> Training:
+        began, rng = time.process_time(), np.random.default_rng(seed)
+        mean, std = np.array([0.0, -150.0, 180.0, 0.0, 0.0, 30.0]), np.full(6, 20.0)
+        lengths, means, spent = np.zeros(0, dtype=np.int64), [], []
+        budget = np.inf if seconds is None else seconds / self.rig.sample_time
+        for k in range(self.rounds):
+            if lengths.sum() + self.population * self.task.steps > budget:
+                break
+            K = mean + std * rng.standard_normal((self.population, 6))
+            starts = self.task.starts(rng, self.population, self.rig)
+            runs = [
+                dpend.simulate(self.rig, GainPolicy(gain), x0, task=self.task)
+                for gain, x0 in zip(K, starts, strict=True)
+            ]
+            lengths = np.append(lengths, [len(run.u) for run in runs])
+            best = K[np.argsort(lengths[-self.population :])[-4:]]
+            mean, std = best.mean(axis=0), best.std(axis=0) + 1.0
+            means.append(mean)
+            spent.append(self.rig.sample_time * lengths.sum())
+            if progress is not None:
+                progress((k + 1) / self.rounds)
+        if progress is not None:
+            progress(1.0)
+        return Training(
+            policy=GainPolicy(mean, about={"seed": seed}),
+            outcome=Outcome.BUDGET_SPENT,
+            cost=Cost(
+                episodes=len(lengths),
+                steps=int(lengths.sum()),
+                sample_time=self.rig.sample_time,
+                cpu_seconds=time.process_time() - began,
+            ),
+            curve={"experience": self.rig.sample_time * np.cumsum(lengths), "length": lengths},
+            trail=Trail(np.array(spent), means, GainPolicy),
+        )
+
+
+BUILD: dict[str, Callable[[Any], Any]] = {
+    "Q published": lambda rig: LinearQLearning.published(rig),
+    "Q tuned": lambda rig: LinearQLearning.tuned(rig),
+    "Q swing-up": lambda rig: LinearQLearning(rig, task=dpend.SwingUp(start="side"), alpha=1e-6, max_episodes=300),
+    "QAC published": lambda rig: GaussianQAC.published(rig, alpha=1e-6, beta=1e-6),
+    "QAC tuned": lambda rig: GaussianQAC.tuned(rig),
+    "natural QAC": lambda rig: NaturalQAC(rig, max_episodes=11, episodes_per_update=3),
+    "LSPI": lambda rig: LSPI(rig),
+    "one-step Q": lambda rig: QuadraticQLearning(rig, record_every=70),
+    "cross-entropy": lambda rig: CrossEntropy(rig),
+}
+SECONDS = 100.0  # enough for a few episodes, and for all but the acceptance tests of tuned Q-learning
+every_learner = pytest.mark.parametrize("build", BUILD.values(), ids=list(BUILD))
+
+
+def weights(policy):
+    return next(getattr(policy, name) for name in ("K", "weights", "v") if hasattr(policy, name))
+
+
+@every_learner
+def test_the_rig_comes_first_and_may_be_the_name_of_a_preset(build):
+    learner = build("gustafsson2016")
+    assert isinstance(learner, Learner)
+    assert learner.rig == RIG
+    assert learner == build(RIG)
+
+
+@every_learner
+def test_the_same_seed_learns_the_same_policy_and_another_something_else(build):
+    one, same, other = (weights(build(RIG).train(seed, seconds=SECONDS).policy) for seed in ([3, 1], [3, 1], [3, 2]))
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).any()
+
+
+@every_learner
+@pytest.mark.parametrize("seconds", [1.0, 33.33, SECONDS])
+def test_no_training_has_more_experience_than_it_is_allowed(build, seconds):
+    training = build(RIG).train(5, seconds=seconds)
+    assert training.experience <= seconds
+    assert training.experience == (training.cost.steps + training.cost.test_steps) * RIG.sample_time
+    assert np.isfinite(weights(training.policy)).all()
+
+
+@every_learner
+def test_a_budget_that_is_not_reached_changes_nothing(build):
+    learner = build(RIG)
+    if hasattr(learner, "max_episodes"):
+        learner = replace(learner, max_episodes=min(learner.max_episodes, 40))
+    free, bounded = learner.train(7), learner.train(7, seconds=1e6)
+    np.testing.assert_array_equal(weights(free.policy), weights(bounded.policy))
+    assert free.cost.steps == bounded.cost.steps
+    assert free.outcome is bounded.outcome
+
+
+@every_learner
+@pytest.mark.parametrize("seconds", [None, SECONDS])
+def test_progress_grows_from_nothing_to_one(build, seconds):
+    learner, shares = build(RIG), []
+    if hasattr(learner, "max_episodes"):
+        learner = replace(learner, max_episodes=min(learner.max_episodes, 300))
+    learner.train(0, seconds=seconds, progress=shares.append)
+    assert shares == sorted(shares)
+    assert all(0.0 <= share <= 1.0 for share in shares)
+    assert shares[-1] == 1.0
+
+
+@every_learner
+def test_the_curve_has_one_entry_an_episode_that_ended_and_adds_up_to_the_cost(build):
+    training = build(RIG).train(2, seconds=SECONDS)
+    curve, cost = training.curve, training.cost
+    assert {len(column) for column in curve.values()} == {cost.episodes}
+    assert cost.episodes > 0
+    tested = curve.get("tested", np.zeros(cost.episodes, int))
+    np.testing.assert_allclose(curve["experience"], RIG.sample_time * np.cumsum(curve["length"] + tested))
+    under_way = cost.steps - curve["length"].sum()
+    assert 0 <= under_way < 1000
+    assert tested.sum() == cost.test_steps
+    if "success" in curve and not isinstance(build(RIG).task, dpend.SwingUp):
+        assert (curve["length"][curve["success"]] == build(RIG).task.steps).all()
+
+
+@every_learner
+def test_snapshots_are_policies_in_the_order_of_their_experience_and_the_last_is_the_final_one(build):
+    training = build(RIG).train(2, seconds=SECONDS)
+    for n in (1, 5, 10_000):
+        snapshots = training.snapshots(n)
+        assert 1 <= len(snapshots) <= n
+        experience = [snapshot.experience for snapshot in snapshots]
+        assert experience == sorted(experience)
+        assert 0 < experience[-1] <= training.experience
+        for snapshot in snapshots:
+            force = snapshot.policy.start(3, np.random.default_rng(0))(0.0, np.full((3, 6), 0.01))
+            assert force.shape == (3,)
+    if training.outcome is not Outcome.DIVERGED and training.cost.steps == training.curve["length"].sum():
+        np.testing.assert_array_equal(weights(snapshots[-1].policy), weights(training.policy))
+
+
+@every_learner
+def test_the_policy_saves_and_loads_with_its_origin(build, tmp_path):
+    policy = build(RIG).train(2, seconds=SECONDS).policy
+    file = policy.save(tmp_path / "policy")
+    back = load_policy(file)
+    assert type(back) is type(policy)
+    assert back.about["seed"] == 2
+    assert read(file, "dpend policy 2")[0]["about"] == back.about
+    y = np.random.default_rng(0).normal(size=(9, 6))
+    laws: list[Any] = [policy, back]
+    one, other = (law.start(9, np.random.default_rng(0))(0.0, y) for law in laws)
+    np.testing.assert_array_equal(one, other)
+
+
+@every_learner
+@pytest.mark.parametrize("seconds", [0.0, -1.0, np.nan, np.inf, "1"])
+def test_a_budget_that_is_no_time_is_refused_before_anything_runs(build, seconds):
+    learner = build(RIG)
+    if isinstance(learner, CrossEntropy):
+        return
+    message = f"seconds must be finite and at least one sample, 0.02 s; got {seconds!r}."
+    with pytest.raises(ValueError, match=whole(message)):
+        learner.train(0, seconds=seconds)
+
+
+def test_acceptance_tests_are_within_the_budget():
+    learner = replace(LinearQLearning.tuned(RIG), streak=1, acceptance=((0.1, 1.0),), acceptance_episodes=10)
+    free = learner.train(1)
+    assert free.cost.test_steps > 0
+    bounded = learner.train(1, seconds=free.experience - 1.0)
+    assert bounded.cost.test_steps < free.cost.test_steps
+    assert bounded.experience <= free.experience - 1.0
+
+
+def test_a_training_that_recorded_nothing_on_the_way_has_its_last_policy():
+    cost = Cost(episodes=3, steps=50, test_steps=50, sample_time=0.02, cpu_seconds=0.0)
+    law = GainPolicy(np.ones(6))
+    training = Training(policy=law, outcome=Outcome.CONVERGED, cost=cost, curve={})
+    assert training.converged
+    assert training.snapshots(4) == [(2.0, law)]
+
+
+def test_what_is_learned_has_a_name():
+    assert task_name(LSPI(RIG)) == task_name(CrossEntropy(RIG)) == "balance"
+    assert task_name(BUILD["Q swing-up"](RIG)) == "swing-up"
+    other: Any = CrossEntropy(RIG, task=None)  # type: ignore[arg-type]
+    message = "A learner's task must be a dpend.Balance or a dpend.SwingUp, or its name; got None."
+    with pytest.raises(TypeError, match=whole(message)):
+        task_name(other)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "value"),
+    [
+        ("steps", "cost.steps", 60),
+        ("seconds", "cost.cpu_seconds", 1.5),
+        ("lengths", "curve['length']", [20, 40]),
+        ("gains", "details['gains']", [3.0]),
+    ],
+)
+def test_what_results_of_one_learner_alone_had_is_still_found_with_a_warning(old, new, value):
+    training: Any = Training(
+        policy=GainPolicy(np.ones(6)),
+        outcome=Outcome.CONVERGED,
+        cost=Cost(episodes=2, steps=60, sample_time=0.02, cpu_seconds=1.5),
+        curve={"length": np.array([20, 40])},
+        details={"gains": np.array([3.0])},
+    )
+    with pytest.warns(DeprecationWarning, match=whole_start(f"Training.{old} is now called Training.{new};")):
+        found = getattr(training, old)
+    np.testing.assert_array_equal(found, value)
+    with pytest.raises(AttributeError, match="'Training' object has no attribute 'restarts'"):
+        training.restarts  # noqa: B018
+
+
+def whole_start(message):
+    return whole(message).removesuffix("$")
