@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from itertools import cycle
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import dpend
 from controllers import (
@@ -24,7 +24,7 @@ from controllers import (
 )
 from dpend import Balance, Controller, Rig, SwingUp
 from dpend.suggest import suggestion
-from rl import LSPI, GaussianQAC, LinearQLearning, load_policy
+from rl import LSPI, GaussianQAC, Learner, LinearQLearning, load_policy
 
 from . import _runner
 from ._figures import Style
@@ -87,7 +87,7 @@ class Contender:
     cost : Cost
         How long it takes.
     learner : callable, optional
-        Returns a learner for a rig, which is trained in seconds, so that a study may train it itself.
+        Returns a learner for a rig that is trained in seconds, so that a study may train it itself.
     policy : str
         Name of the policy that is shipped, of a learner.
     trainings : str
@@ -102,7 +102,7 @@ class Contender:
     prior_knowledge: PriorKnowledge = _DESIGNED
     style: Style = ("#7F3C8D", "h", "-")
     cost: Cost = Cost.CHEAP
-    learner: Callable[[Rig], Any] | None = None
+    learner: Callable[[Rig], Learner] | None = None
     policy: str = ""
     trainings: str = ""
     own: Own | None = None

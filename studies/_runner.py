@@ -34,6 +34,7 @@ import numpy as np
 import pandas as pd
 import tyro
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -239,7 +240,7 @@ def _publish(study: Study, table: Table, options: Options, out: Path, short: str
             if table.quick:
                 _mark(figure)
             _write(out / f"{short}{added}.{options.format}", figure.savefig)
-    tables = document(short, report.tables, f"A {QUICK}." if table.quick else "")
+    tables = document(f"{short}: all tables", report.tables, f"A {QUICK}." if table.quick else "")
     for page, text in {"tables.md": tables, **report.pages}.items():
         _write(out / page, partial(_write_text, text=text))
     if getattr(options, "films", False):
@@ -256,7 +257,7 @@ def _publish(study: Study, table: Table, options: Options, out: Path, short: str
 def _mark(figure: Figure) -> None:
     """Write below a figure that it comes from a quick run."""
     room = 0.16 / figure.get_figheight()
-    if (engine := figure.get_layout_engine()) is not None:
+    if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine):
         engine.set(rect=(0, room, 1, 1 - room))
     figure.text(0.995, 0.2 * room, QUICK, ha="right", va="bottom", fontsize=7, color="#B00020")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -48,6 +48,10 @@ class Table:
             If there is no such column.
         """
         return where(self.rows, **fields)
+
+    def lines(self, **fields: Any) -> Iterable[Any]:
+        """Return the rows in which columns have given values one by one, with an attribute for each column."""
+        return self.where(**fields).itertuples(index=False, name="Line")
 
     def arrays(self, name: str, /, **fields: Any) -> list[AnyArray]:
         """Return the arrays of one name, one for each job that has it, in order.
@@ -114,7 +118,8 @@ def save(table: Table, folder: Path, meta: Mapping[str, Any]) -> None:
         If a file cannot be written.
     """
     columns = {column: str(kind) for column, kind in table.rows.dtypes.items()}
-    if mixed := [column for column, kind in columns.items() if kind == "object"]:
+    gaps = {column for column in columns if table.rows[column].isna().to_numpy().any()}
+    if mixed := [c for c, kind in columns.items() if kind == "object" or (c in gaps and not kind.startswith("float"))]:
         raise TypeError(f"A column holds words, truth values or numbers; {', '.join(mixed)} mixes them or lacks some.")
     flat = {f"{job}|{name}": array for job, named in table.by_job.items() for name, array in named.items()}
     with whole_file(folder / "rows.csv") as part:

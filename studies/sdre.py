@@ -83,9 +83,7 @@ def run(job: Job) -> Result:
 
 def report(table: Table) -> Report:
     """Draw the share saved against λ, with 95 % intervals."""
-    saved = {
-        (row.plant, row.law, row.lam): share(row.successes, row.episodes) for row in table.rows.itertuples(index=False)
-    }
+    saved = {(row.plant, row.law, row.lam): share(row.successes, row.episodes) for row in table.lines()}
     lams = sorted(set(table.rows["lam"]))
     figure, axes = facets(1, len(PLANTS), height=2.8, width=9.0, sharey=True)
     for axis, plant in zip(axes[0], PLANTS, strict=True):

@@ -49,7 +49,7 @@ def test_a_study_writes_table_settings_arrays_figure_and_tables(tmp_path):
     assert meta["options"]["jobs"] == 3
     assert meta["versions"]["numpy"] == np.__version__
     assert (tmp_path / "tests.study_example.png").stat().st_size > 1000
-    assert (tmp_path / "tables.md").read_text().startswith("# tests.study\\_example\n\n## Rows\n")
+    assert (tmp_path / "tables.md").read_text().startswith("# tests.study\\_example: all tables\n\n## Rows\n")
     read = load(tmp_path)
     assert read.rows.equals(table.rows)
     assert read.array("value", repetition=1) == table.where(repetition=1, name="a").value.to_numpy()
@@ -280,7 +280,7 @@ def edit(copied):
         file = copied / name
         content = old.setdefault(file, file.read_bytes() if file.exists() else None)
         file.parent.mkdir(exist_ok=True)
-        changed = (content or b"") + put if find is None else content.replace(find, put, 1)
+        changed = (content or b"") + put if find is None else (content or b"").replace(find, put, 1)
         assert changed != content
         file.write_bytes(changed)
         source_hash.cache_clear()
@@ -395,7 +395,7 @@ def test_the_published_sweep_covers_every_combination():
     jobs = published_q.jobs(published_q.Options(quick=True))
     assert len(jobs) == 12
     rows = published_q.run(replace(jobs[0], trainings=1, max_episodes=2)).rows
-    ways = {(row["failure_cost"], row["failed_step"], row["streak"]) for row in rows}
+    ways = {(row.failure_cost, row.failed_step, row.streak) for row in rows}
     assert len(ways) == len(published_q.FAILURE_COSTS) * len(published_q.BOOTSTRAPS) * len(published_q.STREAKS)
 
 
