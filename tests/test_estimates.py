@@ -82,6 +82,7 @@ def test_the_interval_of_a_median_is_that_of_the_quantile_test():
 
 def test_few_values_are_their_own_interval_and_none_has_no_median():
     assert median([3.0, 1.0, 2.0]) == (2.0, 1.0, 3.0)
+    assert median([5.0, 4.0, 1.0, 2.0, 3.0]) == (3.0, 1.0, 5.0)
     assert median([5.0]) == (5.0, 5.0, 5.0)
     assert np.isnan(median([])).all()
 
@@ -149,6 +150,12 @@ def test_the_crossing_of_an_exact_logistic_is_exact_between_levels(share: float)
     found = crossing(LEVELS, rows, share, resamples=2)
     assert found.value == pytest.approx(where(share), abs=2e-4)
     assert found.low == pytest.approx(found.high, abs=1e-9)
+
+
+def test_a_curve_that_is_symmetric_about_a_half_crosses_it_in_the_middle_however_few_its_rows() -> None:
+    outcomes = np.ones((10, 2))
+    outcomes[0, 0] = outcomes[1:, 1] = 0
+    assert crossing([0.0, 1.0], outcomes, resamples=2).value == pytest.approx(0.5, abs=1e-12)
 
 
 def test_curves_made_to_fall_are_those_of_isotonic_regression() -> None:
