@@ -283,9 +283,7 @@ def strip(
     axis.set_xlim(-0.5, len(groups) - 0.5)
 
 
-def scatter(
-    axis: Axes, points: Mapping[str, tuple[Estimate, Estimate]], styles: Mapping[str, Style], *, label: bool = True
-) -> None:
+def scatter(axis: Axes, points: Mapping[str, tuple[Estimate, Estimate]], styles: Mapping[str, Style]) -> None:
     """Draw points with intervals along both axes, each with its name beside it, no name over another or a point.
 
     Parameters
@@ -296,8 +294,6 @@ def scatter(
         Along x and y, by name.
     styles : mapping of Style
         By name.
-    label : bool
-        Whether names stand beside the points.
     """
     boxes = []
     for name, (x, y) in points.items():
@@ -305,7 +301,7 @@ def scatter(
         intervals(axis, [y.value], [x], styles[name], along="x", ms=5, zorder=3)
         boxes += [(*np.nan_to_num(x[1:], nan=x.value), y.value, y.value)]
         boxes += [(x.value, x.value, *np.nan_to_num(y[1:], nan=y.value))]
-    if label and points:
+    if points:
         x, y = np.array([(x.value, y.value) for x, y in points.values()]).T
         place_labels(axis, x, y, list(points), avoid=np.array(boxes))
 

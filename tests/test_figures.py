@@ -121,6 +121,20 @@ def test_a_logarithmic_axis_has_plain_numbers_at_its_ticks(axis):
     assert len(axis.get_xticks(minor=True)) == 0
 
 
+def test_points_stand_where_their_values_are_with_both_intervals_and_their_names(axis):
+    axis.set(xlim=(0, 1), ylim=(0, 1))
+    _figures.scatter(axis, {"LQR": (Estimate(0.3, 0.2, 0.5), Estimate(0.6, 0.5, 0.8))}, {"LQR": STYLE})
+    bars = [container.lines[2][0].get_segments()[0].tolist() for container in axis.containers]
+    assert np.allclose(bars, [[[0.3, 0.5], [0.3, 0.8]], [[0.2, 0.6], [0.5, 0.6]]])
+    assert [text.get_text() for text in axis.texts] == ["LQR"]
+
+
+def test_each_training_of_a_group_has_a_point_of_its_own_beside_the_others(axis):
+    _figures.strip(axis, {"Q tuned": [Estimate(0.8), Estimate(0.9)], "LSPI": [Estimate(0.7)]}, STYLE)
+    assert [container.lines[0].get_xdata().tolist() for container in axis.containers] == [[-0.025, 0.025], [1.0]]
+    assert [label.get_text() for label in axis.get_xticklabels()] == ["Q tuned", "LSPI"]
+
+
 def test_no_label_covers_another_or_a_point():
     rng = np.random.default_rng(0)
     figure = Figure(figsize=(6, 3), layout="constrained")
