@@ -373,7 +373,7 @@ def test_bad_options_are_refused_before_any_training(arguments, message, tmp_pat
     monkeypatch.setattr(lambda_sweep, "run", None)
     with pytest.raises(SystemExit, match="2"):
         _runner.main("studies.lambda_sweep", ["--out", str(tmp_path), *arguments])
-    assert message in re.sub(r"[\s│]+", " ", capsys.readouterr().err)
+    assert message in re.sub(r"[\s│|]+", " ", capsys.readouterr().err)
 
 
 @pytest.mark.parametrize("name", STUDIES)
