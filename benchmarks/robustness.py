@@ -1,7 +1,7 @@
 """How long a robustness study of a state-feedback controller takes: batches beside one run after the other.
 
 ``python -m benchmarks.robustness`` evaluates LQR on RealAIGym's six axes as the study does it, in at least as many
-runs of 10 s as RealAIGym's 722, and beside it runs of the same kind one by one, in turns; ``--quick`` takes fewer turns.
+runs of 10 s as RealAIGym's 722, and beside it runs of the same kind one by one, in turns; ``--quick`` takes fewer.
 """
 
 from __future__ import annotations

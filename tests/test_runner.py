@@ -373,7 +373,8 @@ def test_bad_options_are_refused_before_any_training(arguments, message, tmp_pat
     monkeypatch.setattr(lambda_sweep, "run", None)
     with pytest.raises(SystemExit, match="2"):
         _runner.main("studies.lambda_sweep", ["--out", str(tmp_path), *arguments])
-    assert message in re.sub(r"[\s│|]+", " ", capsys.readouterr().err)
+    shown = re.sub(r"[\s│|]+", "", capsys.readouterr().err)  # in a box, wrapped anywhere
+    assert message.replace(" ", "") in shown
 
 
 @pytest.mark.parametrize("name", STUDIES)
