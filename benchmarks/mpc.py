@@ -122,9 +122,9 @@ def ours() -> tuple[Law, str]:
         guess, targets = program.pack(xs, us), np.full(HORIZON + 1, setpoint(t))
         # Where the last plan is no good start, as when the set-point jumps, the barrier method begins further inside.
         for each in (cold,) if memory["plan"] is None else (warm, cold):
-            found = each.solve.call({"x0": guess, "lbx": low, "ubx": high, "lbg": lower, "ubg": upper, "p": targets})
-            if each.solve.stats()["success"]:
-                xs, us = program.unpack(found["x"])
+            found = each(x0=guess, lbx=low, ubx=high, lbg=lower, ubg=upper, p=targets)
+            if found.success:
+                xs, us = program.unpack(found.x)
                 break
         memory["plan"] = xs, us
         memory["force"] = float(np.clip(us[0, 0], -RIG.force_limit, RIG.force_limit))

@@ -64,7 +64,7 @@ def solve_times(solvers: dict[str, Plugin]) -> Table:
     )
     for name, program in programs.items():
         table.add_row(
-            program.backend,
+            program.solve.backend,
             str(iterations[name]),
             f"{1e3 * min(solves[name]):.0f}",
             f"{1e3 * min(wholes[name]):.0f}",

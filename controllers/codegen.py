@@ -2,6 +2,8 @@
 
 CasADi interprets a program's functions unless they are compiled, which takes several times as long.  Nothing asks
 for a compiler when the package is installed: it is looked for when a solver is made, and doing without one is no error.
+
+A solve can neither hang nor be deaf to Ctrl-C: it runs in a thread of its own, beside which the caller waits.
 """
 
 from __future__ import annotations
@@ -13,34 +15,158 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any, Literal, NamedTuple
 
 import casadi
+import numpy as np
+
+from dpend.cache import NotPrivate, private_folder
+from dpend.params import Array
 
 Plugin = Literal["auto", "fatrop", "ipopt"]
 
 _FLAGS = ("-O1", "-fPIC", "-shared", "-fno-math-errno", "-w")
-_PATIENCE = 300.0  # s, after which a compiler is given up
+_PATIENCE = 300.0  # s, after which a compiler is abandoned
+_GRACE = 0.5  # s, which a solver has to come to its end after Ctrl-C
 
 
-class NLPSolver(NamedTuple):
-    """A solver, and what runs in it.
+class Solution(NamedTuple):
+    r"""What one solve led to.
 
     Attributes
     ----------
-    solve : casadi.Function
-        What ``casadi.nlpsol`` gives.
-    plugin : str
-        ``"fatrop"`` or ``"ipopt"``.
+    x : ndarray (n,)
+        The variables, NaN where the solver returned nothing.
+    cost : float
+        :math:`f(x, p)`.
+    violation : float
+        :math:`\max_i |g_i(x, p)|`.
+    success : bool
+        Whether the solver says that it converged.
+    status : str
+        Why it stopped, in its own words.
+    iterations : int
+        How many it took.
+    """
+
+    x: Array
+    cost: float
+    violation: float
+    success: bool
+    status: str
+    iterations: int
+
+
+class NLPSolver:
+    """A solver: a function of what ``casadi.nlpsol`` takes, ``x0``, ``p``, ``lbx``, ``ubx``, ``lbg`` and ``ubg``.
+
+    CasADi's solver remembers: give every run a fresh one, so that runs neither meet in threads nor depend on earlier
+    ones.
+
+    Parameters
+    ----------
+    make : callable
+        Returns a new solver of CasADi's, given a function that IPOPT calls after each iteration.
+    sizes : dict
+        Of the program's ``x``, ``g`` and ``p``.
+    plugin : {"fatrop", "ipopt"}
+        Which solver it is.
     backend : str
         The solver and what evaluates the problem's functions, in words.
     """
 
-    solve: Any
-    plugin: str
-    backend: str
+    def __init__(self, make: Callable[[_Stop], Any], sizes: Mapping[str, int], plugin: str, backend: str) -> None:
+        self._make = make
+        self._sizes = sizes
+        self._solve: tuple[Any, _Stop] | None = None
+        self.plugin = plugin
+        self.backend = backend
+
+    def fresh(self) -> NLPSolver:
+        """Return one that remembers nothing and shares nothing; what is compiled is not compiled again."""
+        return NLPSolver(self._make, self._sizes, self.plugin, self.backend)
+
+    def __call__(self, *, patience: float | None = None, **arguments: Any) -> Solution:
+        """Return what one solve leads to; an error in it is a failure that says so.
+
+        Parameters
+        ----------
+        patience : float, optional
+            Seconds after which a solve is abandoned; left out, there is no limit.  Fatrop corrects the inertia of
+            what is not finite for ever, and cannot be ended: what is left of it goes on in its thread.
+        **arguments : array_like
+            As ``casadi.nlpsol`` takes them.
+
+        Returns
+        -------
+        Solution
+        """
+        if self._solve is None:
+            stop = _Stop(self._sizes)
+            self._solve = self._make(stop), stop
+        solve, stop = self._solve
+        found: dict[str, Any] = {}
+        done = Event()
+
+        def work() -> None:
+            try:
+                found.update(solve.call(arguments))
+            except Exception:  # what CasADi makes of whatever a solver stumbles over
+                pass
+            finally:
+                done.set()
+
+        Thread(target=work, daemon=True).start()
+        try:
+            in_time = done.wait(patience)
+        except BaseException:
+            stop.asked.set()
+            done.wait(_GRACE)
+            self._solve = None
+            raise
+        if not (in_time and found):
+            stop.asked.set()
+            self._solve = None
+            status = "an error in the solver" if in_time else f"abandoned after {patience:g} s"
+            return Solution(np.full(self._sizes["x"], np.nan), np.inf, np.inf, False, status, 0)
+        stats = solve.stats()
+        status = stats.get("return_status")
+        if not isinstance(status, str):  # fatrop's is a number
+            status = str(stats.get("unified_return_status", "failure")).removeprefix("SOLVER_RET_")
+        return Solution(
+            found["x"].full().ravel(),
+            float(found["f"]),
+            float(casadi.norm_inf(found["g"])),
+            bool(stats["success"]),
+            status.lower().replace("_", " "),
+            int(stats["iter_count"]),
+        )
+
+
+class _Stop(casadi.Callback):
+    """What IPOPT calls after each iteration: it goes on unless it has been asked to stop."""
+
+    def __init__(self, sizes: Mapping[str, int]) -> None:
+        casadi.Callback.__init__(self)
+        self.asked = Event()
+        x, g, p = (sizes[name] for name in "xgp")
+        self._sizes = {"x": x, "f": 1, "g": g, "lam_x": x, "lam_g": g, "lam_p": p}
+        self.construct("stop", {})
+
+    def get_n_in(self) -> int:
+        return casadi.nlpsol_n_out()
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, i: int) -> Any:
+        return casadi.Sparsity.dense(self._sizes[casadi.nlpsol_out(i)], 1)
+
+    def eval(self, arguments: Any) -> list[float]:
+        return [float(self.asked.is_set())]
 
 
 def find_compiler() -> str | None:
@@ -101,26 +227,37 @@ def nlp_solver(
     options = {"fatrop": dict(fatrop or {}), "ipopt": dict(ipopt or {})}
     ours = {function.name(): function for function in derivatives}
     for_ipopt = ours | _for_ipopt(ours) if ours else {}
+    sizes = {name: nlp[name].numel() if name in nlp else 0 for name in "xgp"}
+
+    def made(plugin: str, problem: Any, where: str) -> NLPSolver:
+        def make(stop: _Stop) -> Any:
+            extra = {"iteration_callback": stop} if plugin == "ipopt" else {}
+            return casadi.nlpsol("solver", plugin, problem, options[plugin] | extra)
+
+        return NLPSolver(make, sizes, plugin, f"{_TITLES[plugin]}, {where}")
+
     wanted = "fatrop" if solver == "auto" else solver
     compiler = find_compiler() if compiled else None
+    why = "" if not compiled else " (no C compiler)" if compiler is None else f" ({Path(compiler).name} failed)"
     if compiler is not None:
         functions = list((ours if wanted == "fatrop" else for_ipopt).values())
         if not functions:
             virtual = casadi.nlpsol("solver", wanted, dict(nlp), options[wanted])
             functions = [virtual.oracle(), *map(virtual.get_function, virtual.get_function())]
-        library = _compiled(functions, compiler)
+        try:
+            library = _compiled(functions, compiler)
+        except NotPrivate as reason:
+            library, why = None, f" ({reason})"
         if library is not None:
             try:
-                solve = casadi.nlpsol("solver", wanted, str(library), options[wanted])
-                return NLPSolver(solve, wanted, f"{_TITLES[wanted]}, compiled C")
-            except RuntimeError:  # it cannot be loaded: cut short, or where no code may lie
+                casadi.nlpsol("solver", wanted, str(library), options[wanted])
+                return made(wanted, str(library), "compiled C")
+            except RuntimeError:  # it cannot be loaded, as where no code may lie
                 library.unlink(missing_ok=True)
     wanted = "ipopt" if solver == "auto" else solver
     if ours and wanted == "ipopt":
         options["ipopt"] |= {"jac_g": ours["nlp_jac_g"], "hess_lag": for_ipopt["nlp_hess_l"]}
-    solve = casadi.nlpsol("solver", wanted, dict(nlp), options[wanted])
-    why = "" if not compiled else " (no C compiler)" if compiler is None else f" ({Path(compiler).name} failed)"
-    return NLPSolver(solve, wanted, f"{_TITLES[wanted]}, CasADi's virtual machine{why}")
+    return made(wanted, dict(nlp), f"CasADi's virtual machine{why}")
 
 
 _TITLES = {"fatrop": "fatrop", "ipopt": "IPOPT"}
@@ -143,8 +280,8 @@ def _for_ipopt(ours: Mapping[str, Any]) -> dict[str, Any]:
 def _compiled(functions: Sequence[Any], compiler: str) -> Path | None:
     """Return the shared library of some functions, from the cache if it is there; None if it cannot be made.
 
-    Its name is a hash of all that it depends on, and it is put in its place in one move, so that processes that make
-    the same one at once do not see each other's halves.
+    Its name is a hash of all that it depends on and one of what it holds, so that a damaged one is found out before
+    it is loaded; and it is moved to its place, so that processes that compile the same do not see each other's halves.
     """
     generator = casadi.CodeGenerator("nlp.c")
     for function in functions:
@@ -152,21 +289,24 @@ def _compiled(functions: Sequence[Any], compiler: str) -> Path | None:
     code = generator.dump()
     machine = sys.platform, platform.machine()
     stamp = (compiler, str(os.stat(compiler).st_mtime_ns), *_FLAGS, casadi.CasadiMeta.version(), *machine, code)
-    digest = hashlib.sha256("\0".join(stamp).encode()).hexdigest()[:32]
+    digest = _digest("\0".join(stamp).encode())
     try:
-        folder = cache_folder() / "c"
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        kept = folder.stat()
-        if kept.st_uid != os.getuid() or kept.st_mode & 0o022:  # others could put code there
-            return None
-        library = folder / f"{digest}.so"
-        if not library.exists():
-            with tempfile.TemporaryDirectory(dir=folder) as work:
-                source, made = Path(work) / "nlp.c", Path(work) / "nlp.so"
-                source.write_text(code)
-                command = [compiler, *_FLAGS, "-o", str(made), str(source), "-lm"]
-                subprocess.run(command, check=True, capture_output=True, timeout=_PATIENCE)
-                made.replace(library)
+        folder = private_folder(cache_folder() / "c")
+        for library in folder.glob(f"{digest}-*.so"):
+            if library.stem == f"{digest}-{_digest(library.read_bytes())}":
+                return library
+            library.unlink(missing_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder) as work:
+            source, made = Path(work) / "nlp.c", Path(work) / "nlp.so"
+            source.write_text(code)
+            command = [compiler, *_FLAGS, "-o", str(made), str(source), "-lm"]
+            subprocess.run(command, check=True, capture_output=True, timeout=_PATIENCE)
+            return made.replace(folder / f"{digest}-{_digest(made.read_bytes())}.so")
+    except NotPrivate:
+        raise
     except (OSError, RuntimeError, subprocess.SubprocessError):  # no folder, no home, no success
         return None
-    return library
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]

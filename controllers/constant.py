@@ -1,4 +1,4 @@
-"""Controllers that do not look: no force, and the same force."""
+"""Controllers that use no measurement: no force, and the same force."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dpend.controller import Act
 
 @dataclass(frozen=True)
 class Constant:
-    """:math:`u = u_0`, whatever happens.
+    """:math:`u = u_0`, whatever is measured.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ from .wrapping import Wrapper, finite_rows, log_of, watch, with_logs
 
 Follow = Callable[[Array, Array], Array]
 r"""An estimator at work, :math:`\hat x = \mathrm{follow}(y, u)`: measurements ``(n, 6)`` and the commands ``(n,)`` that
-were given after the measurements before (not looked at in the first call), to states ``(n, 6)``."""
+were given after the measurements before (not used in the first call), to states ``(n, 6)``."""
 
 
 class Estimator(Protocol):

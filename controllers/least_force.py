@@ -38,6 +38,7 @@ _NEAR = 0.2  # rad: starts within it are solved from a straight line, those beyo
 _EFFORT = 1e-5  # weight of the sum of v^2 beside F in units of the plant's weight: it moves 40 N by less than 0.01 N
 _MOST = 20.0  # greatest F, in that unit
 _TOLERANCE = 1e-7
+_PATIENCE = 120.0  # s, after which a guess is abandoned
 _QUIET = {"print_time": False, "show_eval_warnings": False}
 _IPOPT = _QUIET | {"ipopt": {"print_level": 0, "sb": "yes", "tol": _TOLERANCE, "max_iter": 200}}
 
@@ -51,8 +52,8 @@ class LeastForce:
         Plant, clock and track; its force limit does not enter.
     target : sequence of two floats
         Angles of both links to be reached, rad, whole turns as they are: upright or hanging.
-    horizon : int
-        :math:`N`, samples, at least 2.
+    horizon : float
+        Seconds, rounded to :math:`N` samples, at least 2.
     angle_limits : sequence of two floats
         How far link 1 and link 2 may be from the target's angles on the way, rad; infinity for no limit.
     track_margin : float
@@ -76,7 +77,7 @@ class LeastForce:
         rig: Rig | str,
         target: Sequence[float] = (0.0, 0.0),
         *,
-        horizon: int = 100,
+        horizon: float = 2.0,
         angle_limits: Sequence[float] = (math.pi / 2, math.pi / 2),
         track_margin: float = 0.02,
         compiled: bool = True,
@@ -84,8 +85,11 @@ class LeastForce:
         rig = single_rig(rig, "LeastForce")
         if not rig.params.gravity > 0:
             raise ValueError("Without gravity nothing falls: the least force is zero; give a rig with gravity.")
-        if isinstance(horizon, bool) or not isinstance(horizon, int | np.integer) or horizon < 2:
-            raise ValueError(f"horizon must be a whole number of samples, at least 2; got {horizon!r}.")
+        steps = round(horizon / rig.sample_time) if is_finite(horizon) else 0
+        if steps < 2:
+            raise ValueError(
+                f"horizon must be a number of seconds, at least two samples of {rig.sample_time:g} s; got {horizon!r}."
+            )
         limits = np.array(angle_limits, dtype=np.float64)
         if limits.shape != (2,) or not (limits > 0).all():
             raise ValueError(f"angle_limits must be two angles, greater than 0 rad; got {angle_limits!r}.")
@@ -95,7 +99,7 @@ class LeastForce:
                 f"got {track_margin!r}."
             )
         self.rig = rig
-        self.horizon = int(horizon)
+        self.horizon_steps = steps
         self._target = np.array([0.0, *target, 0.0, 0.0, 0.0])
         self._bounds = np.array([rig.track_limit - track_margin, *limits, np.inf, np.inf, np.inf])
         self._unit = float(rig.params.coefficients().d1 * rig.params.gravity)
@@ -111,18 +115,17 @@ class LeastForce:
                 cost=_EFFORT * v**2,
                 terminal=x[6],
             ),
-            self.horizon,
+            self.horizon_steps,
         )
         fatrop = {"print_level": 0, "tol": _TOLERANCE, "max_iter": 200}
-        made = nlp_solver(
+        self._solver = nlp_solver(
             self._program.nlp,
             fatrop=_QUIET | {"structure_detection": "auto", "equality": self._program.equality, "fatrop": fatrop},
             ipopt=_IPOPT,
             compiled=compiled,
             derivatives=self._program.derivatives,
         )
-        self._solve = made.solve
-        self.backend = made.backend
+        self.backend = self._solver.backend
 
     def __call__(self, x0: npt.ArrayLike, *, guesses: int = 0, seed: int = 0) -> Trajectory:
         r"""Return the motion from a state that asks for the least force.
@@ -155,7 +158,7 @@ class LeastForce:
         if start.shape != (6,):
             raise ValueError(f"x0 must be one state of shape (6,); got shape {start.shape}.")
         away = as_states(start)[0] - self._target
-        N = self.horizon
+        N = self.horizon_steps
         size = float(np.abs(away[1:3]).max())
         share = _NEAR / size if _NEAR < size < math.pi / 2 else 1.0
         line = np.linspace(1.0, 0.0, N + 1)[:, None]
@@ -172,7 +175,7 @@ class LeastForce:
         found = min((one for one in all_found if one is not None), key=lambda one: one[2], default=None)
         if found is None:
             raise NoTrajectory(
-                f"No motion from {start.tolist()} to the target was found in {N} samples. Allow more samples, or "
+                f"No motion from {start.tolist()} to the target was found in {N} samples. Allow a longer horizon, or "
                 "check that the start is on the track and within angle_limits."
             )
         x, v, F = found
@@ -191,21 +194,22 @@ class LeastForce:
 
     def _from(self, away: Array, x: Array, v: Array, F: float) -> tuple[Array, Array, float] | None:
         """Solve from a guess; None where the solver does not succeed."""
-        N, pack = self.horizon, self._program.pack
+        N, pack = self.horizon_steps, self._program.pack
         high = np.tile(np.append(self._bounds, _MOST), (N + 1, 1))
         low = -high
         low[:, 6] = 0.0
         low[0, :6] = high[0, :6] = away
         low[N, 1:6] = high[N, 1:6] = 0.0
         ones = np.ones((N, 1))
-        solved = self._solve(
+        solved = self._solver.fresh()(
+            patience=_PATIENCE,
             x0=pack(np.column_stack([x, np.full(N + 1, F)]), v[:, None]),
             lbx=pack(low, -ones),
             ubx=pack(high, ones),
             lbg=0,
             ubg=0,
         )
-        if not self._solve.stats()["success"]:
+        if not solved.success:
             return None
-        states, inputs = self._program.unpack(solved["x"])
+        states, inputs = self._program.unpack(solved.x)
         return states[:, :6], np.clip(inputs[:, 0], -1.0, 1.0), float(states[0, 6])

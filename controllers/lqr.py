@@ -56,7 +56,7 @@ class Margins(NamedTuple):
 class LQR:
     r"""Law :math:`u = -K(x - x^*)`, minimising :math:`\sum_k (x_k - x^*)^\top Q (x_k - x^*) + R u_k^2`.
 
-    The plant is linearised about the equilibrium :math:`x^*` and the design is discrete: the plant is sampled with its
+    The plant is linearized about the equilibrium :math:`x^*` and the design is discrete: the plant is sampled with its
     force held, so the gain is right for the sample time.  Angles are taken to the nearest whole turn, so every upright
     is upright.
 

@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from dpend.arguments import checked_whole, is_finite
 from dpend.controller import Act
+from dpend.deprecation import warn_renamed
 from dpend.linear import discretize, linearize
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
@@ -47,6 +48,8 @@ _GAP = 1e-3  # largest defect of a plan, in any state's unit, that is still foll
 _COLD_ITERATIONS = 100
 _ARRIVED = 0.2  # rad, within which a first plan's end must be for no further guesses to be made
 _WARM_BARRIER, _COLD_BARRIER = 1e-3, 1e-1
+_PATIENCE = 10.0  # s
+_FAR = 1e4  # m and rad, beyond which nothing is planned
 _STUCK = 5  # failures in a row after which the solver goes on from where it stopped
 
 Plan = tuple[Array, Array]
@@ -62,6 +65,8 @@ class PlanStatus(IntEnum):
     """The solver stopped early, but its plan keeps to the plant and the limits, so it is followed."""
     SHIFTED = 2
     """The solver failed: the plan of the step before goes on; in a run's first step, the best guess."""
+    ABANDONED = 3
+    """The solver had not come back after 10 s: as ``SHIFTED``."""
 
 
 class NMPC:
@@ -77,7 +82,7 @@ class NMPC:
     ----------
     rig : Rig or str
         What the planner believes: plant, sample time and limits.  Actuator and sensors do not enter; where they matter,
-        put an estimator before it that tells the state at which the next force acts.
+        an estimator must come before it that returns the state at which the next force acts.
     target : str or array_like (6,)
         The equilibrium to reach, by name or as a state.
     cost : {"quadratic", "energy"}
@@ -95,7 +100,7 @@ class NMPC:
     energy_weight : float
         :math:`w`; only with the energy cost.
     setpoint : float or callable
-        Where the cart is to be, m, beside the target's own position; a function of time in s is looked ahead over the
+        Where the cart is to be, m, beside the target's own position; a function of time in s is previewed over the
         horizon.
     margin : float
         :math:`m`, by which the plan stays off the track's end, m.
@@ -109,8 +114,8 @@ class NMPC:
     ----------
     lqr : LQR
         The regulator of the same weights, whose Riccati solution ends the plan.
-    samples : int
-        :math:`N`.
+    horizon_steps : int
+        :math:`N`, the horizon in samples.
 
     Raises
     ------
@@ -121,9 +126,13 @@ class NMPC:
     Notes
     -----
     A run records ``status`` (:class:`PlanStatus`), ``iterations`` and ``solve_time`` (s) of each step; those of the
-    first step are the sums over its guesses.  Where five solves in a row have failed, the plan that is followed is a
-    poor guess, and each solve begins where the one before stopped.  The plan's Hessian is Gauss and Newton's, so it is
-    never indefinite.
+    first step are the sums over its guesses.  Each solve returns or is abandoned within ten seconds, in the first step
+    together with the guesses still to come, and every force is finite, whatever is measured: what is not finite, or
+    faster than half a radian in a Runge-Kutta step, is taken to be as planned, and nothing faster is planned.  Angles
+    count by the turns nearest to the plan's.  From a start that cannot stop within the margin, the plan keeps off the
+    track's end as far as it can.  Where five solves in a row have failed, the plan that is followed is a poor guess,
+    and each solve begins where the one before stopped.  The plan's Hessian is Gauss and Newton's, so it is never
+    indefinite.
 
     The solver is built when a run first needs it, once a process for equal settings; compiled code is kept in the
     user's cache folder.  Source: J. Rawlings, D. Mayne and M. Diehl, *Model Predictive Control*, 2017, chapter 8;
@@ -172,12 +181,18 @@ class NMPC:
         self.position(0.0)
         if horizon is None:
             horizon = _pace(rig) * (1.5 if cost == "quadratic" else 0.8)
-        self.samples = round(_checked("horizon", horizon, 2 * rig.sample_time, 1e3) / rig.sample_time)
+        self.horizon_steps = round(_checked("horizon", horizon, 2 * rig.sample_time, 1e3) / rig.sample_time)
 
     @property
     def name(self) -> str:
         """What tables and figures call it."""
         return "NMPC" if self.cost == "quadratic" else "energy NMPC"
+
+    @property
+    def samples(self) -> int:
+        """Return ``horizon_steps``, by the name that it had."""
+        warn_renamed("NMPC.samples", "NMPC.horizon_steps")
+        return self.horizon_steps
 
     @property
     def backend(self) -> str:
@@ -186,7 +201,7 @@ class NMPC:
 
     def __repr__(self) -> str:
         way = "a C compiler is found" if find_compiler() else "no C compiler is found"
-        return f"<{self.name}, {self.samples} samples of {self.rig.sample_time:g} s, solver {self.solver}, {way}>"
+        return f"<{self.name}, {self.horizon_steps} samples of {self.rig.sample_time:g} s, solver {self.solver}, {way}>"
 
     def position(self, t: float) -> float:
         """Return where the cart is to be at a time in s: the target's position and the set-point, m.
@@ -215,7 +230,8 @@ class NMPC:
         """
         if n != 1:
             raise ValueError(f"NMPC treats one run at a time; got n = {n}.")
-        return _Planner(self, _problem(self._key()))
+        problem = _problem(self._key())
+        return _Planner(self, problem._replace(warm=problem.warm.fresh(), cold=problem.cold.fresh()))
 
     def _key(self) -> str:
         """Name what the solver depends on; limits and set-point are handed to it at each step."""
@@ -227,7 +243,7 @@ class NMPC:
             "R": self.lqr.R,
             "S": self.rate_weight,
             "energy_weight": self.energy_weight if self.cost == "energy" else None,
-            "samples": self.samples,
+            "samples": self.horizon_steps,
             "max_iterations": self.max_iterations,
             "solver": self.solver,
             "compiler": find_compiler(),
@@ -249,6 +265,18 @@ def _pace(rig: Rig) -> float:
     swing = math.sqrt(float(c.d4) / float(c.f1)) / 0.301  # of link 1 with link 2 at its end
     strength = float(rig.force_limit) / (float(c.d1) * rig.params.gravity) / 2.04
     return float(swing * min(max(1.0, strength**-0.5), 3.0))
+
+
+def _greatest_force(rig: Rig) -> float:
+    """Return what forces are planned with where nothing limits them, N: thirty times the weight of the whole."""
+    return 30 * (float(rig.params.coefficients().d1 * rig.params.gravity) or 1 / 3)
+
+
+def _bounds(rig: Rig) -> Array:
+    """Return the greatest state that is planned with: links turn by at most half a radian in a Runge-Kutta step."""
+    rate = 0.5 * rig.substeps / rig.sample_time
+    speed = rate * float(rig.params.length1 + rig.params.length2)
+    return np.array([_FAR, _FAR, _FAR, speed, rate, rate])
 
 
 def _stopping_speed(rig: Rig, margin: float) -> float:
@@ -304,11 +332,15 @@ def _stage(rig: Rig, settings: dict[str, Any]) -> Stage:
         reference = max(there - hanging, 0.5 * abs(hanging), 1e-9)
         r = casadi.vertcat(e[0], e[3], (energy(x[:6]) - there) / reference, u)
         W = np.diag([Q[0, 0], Q[3, 3], settings["energy_weight"], R])
-    step, last, P = substep_function(rig), e, lqr.P
+    # Within bounds, whatever the solver tries: fatrop does not return from what is not finite.
+    bounds, force = _bounds(rig), _greatest_force(rig)
+    inside = casadi.vertcat(*(casadi.fmax(casadi.fmin(x[i], bounds[i]), -bounds[i]) for i in range(6)))
+    after = substep_function(rig)(inside, casadi.fmax(casadi.fmin(u, force), -force))
+    last, P = e, lqr.P
     if remembers:
         r, W, last = casadi.vertcat(r, u - x[6]), _diagonal(W, S), casadi.vertcat(e, x[6])
         P = _cost_with_rate(rig, target, Q, R, S)
-        step = casadi.Function("substep", [x, u], [casadi.vertcat(step(x[:6], u), u)])
+        after = casadi.vertcat(after, u)
     far = 4 * float(Q[1, 1] + Q[2, 2]) or 1.0
     scale = _FAR_COST / (settings["samples"] * far)
     by_z, by_x = casadi.jacobian(r, casadi.vertcat(x, u)), casadi.jacobian(last, x)
@@ -316,7 +348,7 @@ def _stage(rig: Rig, settings: dict[str, Any]) -> Stage:
         x=x,
         u=u,
         p=p,
-        step=step,
+        step=casadi.Function("substep", [x, u], [after]),
         steps=rig.substeps,
         cost=casadi.bilin(scale * W, r, r),
         terminal=casadi.bilin(scale * P, last, last),
@@ -349,46 +381,77 @@ class _Planner:
 
     def __init__(self, controller: NMPC, problem: _Problem) -> None:
         self.log: dict[str, list[float]] = {"status": [], "iterations": [], "solve_time": []}
-        self._position, self._looks = controller.position, callable(controller.setpoint)
+        self._position, self._previews = controller.position, callable(controller.setpoint)
         self._problem = problem
         self._program = program = problem.program
         self._target = controller.lqr.target
         self._gain = controller.lqr.K[0]
+        self._rig, self._margin = controller.rig, controller.margin
         self._T = controller.rig.sample_time
-        self._force = float(controller.rig.force_limit)
+        self._force = min(float(controller.rig.force_limit), _greatest_force(controller.rig))
         self._track = float(controller.rig.track_limit) - controller.margin
-        # Where there is no limit, guesses still need one.
-        weight = float(controller.rig.params.coefficients().d1) * controller.rig.params.gravity
-        self._guess_force = min(self._force, 3 * weight or 1.0)
+        self._bounds = _bounds(controller.rig)
+        self._box = np.append(self._bounds, np.inf)[: program.nx]
+        self._guess_force = min(self._force, 0.1 * _greatest_force(controller.rig))
         highest = np.full((program.horizon + 1, program.nx), np.inf)
-        highest[:, 0] = self._track
         highest[-1, 3] = _stopping_speed(controller.rig, controller.margin)
         self._high = program.pack(highest, np.full((program.horizon, 1), self._force))
         self._low = -self._high
+        self._places = np.arange(0, len(self._high), program.nx + 1)  # where the states' first entries stand
         self._plan: Plan | None = None
         self._reached: Plan | None = None  # where the solver stopped, if it is stuck
         self._failures = 0
         self._u = 0.0
 
     def __call__(self, t: float, y: Array) -> Array:
-        measured = y[0]
-        if not np.isfinite(measured).all():  # as planned, or where nothing is planned yet, as wished
-            measured = self._target if self._plan is None else self._plan[0][1, :6]
-        x = self._with_force(measured, self._u)
+        x = self._with_force(self._seen(y[0]), self._u)
+        self._high[self._places] = self._reach(x)
+        self._low[self._places] = -self._high[self._places]
         if self._plan is None:
             self._plan, status, iterations, seconds = self._first_plan(t, x)
         else:
             planned = self._moved_on(t, self._plan)
             guess = planned if self._reached is None else self._moved_on(t, self._reached)
             plan, status, iterations, seconds, _ = self._solve(self._problem.warm, t, x, guess)
-            failed = status is PlanStatus.SHIFTED
+            failed = status >= PlanStatus.SHIFTED
             self._failures = self._failures + 1 if failed else 0
-            stuck = self._failures >= _STUCK and all(np.isfinite(part).all() for part in plan)
+            stuck = self._failures >= _STUCK
             self._plan, self._reached = planned if failed else plan, plan if stuck else None
         for name, value in (("status", status), ("iterations", iterations), ("solve_time", seconds)):
             self.log[name].append(float(value))
         self._u = float(np.clip(self._plan[1][0, 0], -self._force, self._force))
         return np.array([self._u])
+
+    def _seen(self, measured: Array) -> Array:
+        """Return what is measured as a state to plan from: its angles by the turns nearest to those expected.
+
+        What is not finite or out of bounds is no measurement: the state is as planned, or at first as wished.
+        """
+        expected = self._target if self._plan is None else self._plan[0][1, :6]
+        if not (np.abs(measured) <= self._bounds).all():
+            return expected
+        seen = measured.copy()
+        seen[1:3] += _TURN * np.rint((expected[1:3] - measured[1:3]) / _TURN)
+        return seen
+
+    def _reach(self, x: Array) -> float:
+        """Return how far from the middle a plan may go: the track less the margin, and more where the start needs it.
+
+        That is where it is, and where full braking brings it; a little beyond, so that there is a choice.
+        """
+        place, speed = x[0], x[3]
+        side = np.sign(speed) or np.sign(place)
+        brake = self._force / float(self._rig.params.coefficients().d1)
+        if max(abs(place), side * place + speed**2 / brake) <= self._track:  # half of what the actuator can do
+            return self._track
+        farthest = abs(place)
+        for _ in range(self._program.horizon):
+            x = self._sampled(x, -side * self._guess_force)
+            farthest = max(farthest, side * x[0])
+            if side * x[3] <= 0:
+                break
+        left = max(float(self._rig.track_limit) - farthest, 0.0)
+        return max(self._track, farthest + min(0.1 * self._margin, 0.5 * left))
 
     def _with_force(self, x: Array, u: float) -> Array:
         """Return the state as the program has it: with the last force if changes of force cost."""
@@ -398,32 +461,33 @@ class _Planner:
         """Return position and angles to reach at each stage ``(N + 1, 3)``, by the turn nearest to the plan's end."""
         N = self._program.horizon
         goals = np.empty((N + 1, 3))
-        goals[:, 0] = [self._position(t + k * self._T) for k in range(N + 1)] if self._looks else self._position(t)
+        goals[:, 0] = [self._position(t + k * self._T) for k in range(N + 1)] if self._previews else self._position(t)
         goals[:, 1:] = self._target[1:3] + _TURN * np.rint((end[1:3] - self._target[1:3]) / _TURN)
         return goals
 
     def _solve(self, solver: NLPSolver, t: float, x: Array, guess: Plan) -> tuple[Plan, PlanStatus, int, float, float]:
         """Return the plan from a state, its status, the iterations and seconds it took, and its cost."""
         program, (xs, us) = self._program, guess
-        xs = np.vstack([x, xs[1:]])
+        xs = np.vstack([x, np.clip(xs[1:], -self._box, self._box)])
         nx = program.nx
         self._low[:nx] = self._high[:nx] = x
         goals = self._goals(t, xs[-1]).ravel()
         began = perf_counter()
-        try:
-            found = solver.solve(x0=program.pack(xs, us), lbx=self._low, ubx=self._high, lbg=0.0, ubg=0.0, p=goals)
-        except RuntimeError:  # what CasADi makes of whatever a solver stumbles over
-            return guess, PlanStatus.SHIFTED, 0, perf_counter() - began, math.inf
+        found = solver(
+            patience=_PATIENCE, x0=program.pack(xs, us), lbx=self._low, ubx=self._high, lbg=0.0, ubg=0.0, p=goals
+        )
         seconds = perf_counter() - began
-        stats = solver.solve.stats()
-        w = found["x"].full().ravel()
-        plan = program.unpack(w)
-        over = np.maximum(w - self._high, self._low - w).max()
-        usable = np.isfinite(w).all() and max(float(casadi.norm_inf(found["g"])), over) < _GAP
-        status = PlanStatus.ACCEPTED if usable else PlanStatus.SHIFTED
-        if usable and stats["success"]:
-            status = PlanStatus.SOLVED
-        return plan, status, int(stats["iter_count"]), seconds, float(found["f"])
+        if not np.isfinite(found.x).all():
+            status = PlanStatus.ABANDONED if seconds >= _PATIENCE else PlanStatus.SHIFTED
+            return guess, status, found.iterations, seconds, math.inf
+        plan = program.unpack(found.x)
+        over = np.maximum(found.x - self._high, self._low - found.x).max()
+        usable = max(found.violation, over) < _GAP
+        status = PlanStatus.SHIFTED
+        if usable:
+            status = PlanStatus.SOLVED if found.success else PlanStatus.ACCEPTED
+        cost = found.cost if math.isfinite(found.cost) else math.inf
+        return plan, status, found.iterations, seconds, cost
 
     def _moved_on(self, t: float, plan: Plan) -> Plan:
         """Return the plan one sample later; what is missing at its end is the LQR's."""
@@ -433,7 +497,9 @@ class _Planner:
         return np.vstack([xs[1:], self._sampled(last, u)]), np.vstack([us[1:], [[u]]])
 
     def _sampled(self, x: Array, u: float) -> Array:
-        return self._with_force(self._problem.sample(x[:6], u).full().ravel(), u)
+        """Return the state a sample later, within bounds, so that a motion which diverges is no guess that does."""
+        after = self._problem.sample(np.clip(x[:6], -self._bounds, self._bounds), u).full().ravel()
+        return self._with_force(np.clip(after, -self._bounds, self._bounds), u)
 
     def _feedback(self, t: float, x: Array) -> float:
         target = self._target.copy()
@@ -449,9 +515,11 @@ class _Planner:
                 plan, status, count, took, cost = self._solve(self._problem.cold, t, x, guess)
                 iterations += count
                 seconds += took
-                failed = status is PlanStatus.SHIFTED
-                arrived |= not failed and self._near(plan[0][-1], _ARRIVED)
+                failed = status >= PlanStatus.SHIFTED
+                arrived |= status is PlanStatus.ABANDONED or (not failed and self._near(plan[0][-1], _ARRIVED))
                 found.append((failed, cost, len(found), guess if failed else plan, status))
+                if status is PlanStatus.ABANDONED:  # to try further would take as long again
+                    break
             if arrived:
                 break
         _, _, _, plan, status = min(found)
@@ -478,7 +546,7 @@ class _Planner:
             yield np.linspace(x, goal, N + 1), np.zeros((N, 1))
 
     def _swinging(self, t: float, x: Array) -> Iterator[Plan]:
-        """Guess motions under forces to and fro, because the cost is level where the links hang at rest."""
+        """Guess motions under forces to and fro, because the cost is flat where the links hang at rest."""
         N = self._program.horizon
         for amplitude, periods in ((0.5, 1.0), (-0.5, 1.0), (0.5, 2.0), (-0.5, 2.0)):
             swing = amplitude * self._guess_force * np.sin(_TURN * periods * np.arange(N) / N)

@@ -222,7 +222,7 @@ class SDRE:
 def _held(A: Array, B: Array, sample_time: float) -> tuple[Array, Array]:
     """Sample many plants with their forces held, as :func:`dpend.discretize` does one.
 
-    scipy's exponential of one such matrix takes longer than all the rest of a step; this series is summed for a 16th of
+    scipy's exponential of one such matrix takes longer than all else in a step; this series is summed for a 16th of
     the sample, where twelve terms are exact to rounding, and squared four times.
     """
     n, size = A.shape[:2]

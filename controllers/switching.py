@@ -220,7 +220,7 @@ class RolloutRegion:
             if not alive.all():
                 if not alive.any():
                     return rests
-                y[~alive] = stepper.reset(self.target, ~alive)  # parked, where it disturbs nobody
+                y[~alive] = stepper.reset(self.target, ~alive)  # parked, where it disturbs no row
         rests[rows] = alive
         return rests
 
@@ -306,7 +306,7 @@ class SwitchingController:
     A batched law that counts its samples, such as :class:`~controllers.tvlqr.TVLQR`, or remembers what it commanded,
     ages while it is not in charge.
 
-    ``act.log["caught"]`` says for each call where ``then`` was in charge.  The rest of the log is, row by row, that of
+    ``act.log["caught"]`` says for each call where ``then`` was in charge.  Otherwise the log is, row by row, that of
     the law in charge, NaN where it has no entry of that name; the ``caught`` of a nested one is found under
     ``first.caught`` or ``then.caught``.
     """

@@ -12,7 +12,7 @@ with one of two objectives, both of order one (fatrop does not scale costs), for
    J_\text{time} = N h + \epsilon \sum_k \Bigl(\frac{u_k - u_{k-1}}{f}\Bigr)^2,\quad h \text{ free}.
 
 A solution replays in the simulator as it is, to the solver's tolerance in each sample, because the constraint is the
-simulator's own step; that, the limits and the end are checked before a solution is given away.
+simulator's own step; that, the limits and the end are checked before a solution is returned.
 
 Source: H. Bock and K. Plitt, *A multiple shooting algorithm for direct solution of optimal control problems*, 1984.
 """
@@ -25,7 +25,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from importlib import metadata
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import casadi
 import numpy as np
@@ -39,17 +39,18 @@ from dpend.state import as_equilibrium, as_states, deviation
 from dpend.symbolic import sample_function, substep_function
 from dpend.tasks import STARTS
 
-from .codegen import Plugin, find_compiler, nlp_solver
+from .codegen import NLPSolver, Plugin, find_compiler, nlp_solver
 from .shooting import Stage, multiple_shooting
 from .trajectory import Trajectory
 
 Objective = Literal["effort", "time"]
 
 TOLERANCE = 1e-6
-"""Greatest defect of a sample, and greatest excess over a limit, of a trajectory that is given away."""
+"""Greatest defect of a sample, and greatest excess over a limit, of a trajectory that is returned."""
 
 _JUMPS = 1e-3  # s, what a jump of the force by its unit costs in minimum time
 _ITERATIONS = 120
+_PATIENCE = 120.0  # s, after which a guess is abandoned
 _QUIET = {"print_time": False, "show_eval_warnings": False}
 _IPOPT = _QUIET | {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9, "max_iter": 300}}
 
@@ -65,8 +66,7 @@ class _Program(NamedTuple):
     the rows: so every constraint ties neighbours only.
     """
 
-    solve: Any
-    backend: str
+    solve: NLPSolver
     width: int
 
 
@@ -109,7 +109,7 @@ def _program(rig: Rig, N: int, objective: Objective, smoothing: float, unit: flo
         compiled=solver != "ipopt",
         derivatives=program.derivatives,
     )
-    return _Program(made.solve, made.backend, states + 1)
+    return _Program(made, states + 1)
 
 
 class _Guess(NamedTuple):
@@ -145,7 +145,7 @@ def optimize(
     rig : Rig or str
         Plant, clock and limits; actuator and sensors do not enter.
     start : str or array_like (6,)
-        "hanging", "side" (both links level, :math:`(\pi/2, \pi/2)`), the name of an equilibrium, or any state.
+        "hanging", "side" (both links horizontal, :math:`(\pi/2, \pi/2)`), the name of an equilibrium, or any state.
     target : str or array_like (6,)
         The name of an equilibrium: then each link may turn to it either way, all ways are tried, and the cheapest is
         kept; or a state with each link straight up or down, whose angles are meant as they are, turns and all.
@@ -232,7 +232,7 @@ def optimize(
         "converged": tried - failures.total(),
         "tried": tried,
         "seed": seed,
-        "solver": made.backend,
+        "solver": made.solve.backend,
         "versions": versions() | {"casadi": metadata.version("casadi")},
     }
     return replace(best.trajectory, about=about)
@@ -334,7 +334,7 @@ def _solve(
     track_margin: float,
     force_margin: float,
 ) -> _Found | str:
-    """Solve from one guess; give what was found, or what went wrong."""
+    """Return what one guess leads to, or what went wrong."""
     N, h = len(guess.u), rig.sample_time
     force = float(rig.force_limit) - force_margin
     track = float(rig.track_limit) - track_margin
@@ -350,24 +350,19 @@ def _solve(
     first[1:, 6] = guess.u / unit
     if objective == "time":
         low[:, 7], high[:, 7], first[:, 7] = 0.1, 1.5, 0.8
-    try:
-        answer = made.solve(x0=first.ravel()[:-1], lbx=low.ravel()[:-1], ubx=high.ravel()[:-1], lbg=0.0, ubg=0.0)
-    except RuntimeError:
-        return "an error in the solver"
-    stats = made.solve.stats()
-    if not stats["success"]:
-        said = stats.get("return_status")
-        if not isinstance(said, str):  # fatrop gives a number
-            said = str(stats.get("unified_return_status", "failure")).removeprefix("SOLVER_RET_")
-        return said.lower().replace("_", " ")
-    rows = np.append(np.asarray(answer["x"]).ravel(), 0.0).reshape(N + 1, made.width)
+    answer = made.solve(
+        patience=_PATIENCE, x0=first.ravel()[:-1], lbx=low.ravel()[:-1], ubx=high.ravel()[:-1], lbg=0.0, ubg=0.0
+    )
+    if not answer.success:
+        return answer.status
+    rows = np.append(answer.x, 0.0).reshape(N + 1, made.width)
     step = h * float(rows[0, 7]) if objective == "time" else h
     forces = np.clip(unit * rows[:-1, -1], -force, force)
     x = rows[:, :6].copy()
     x[0], x[-1] = begin, end
     about = {
-        "cost": float(answer["f"]),
-        "iterations": int(stats["iter_count"]),
+        "cost": answer.cost,
+        "iterations": answer.iterations,
         "first guess": guess.words,
         "samples": N,
     }
@@ -380,7 +375,7 @@ def _solve(
     )
     trajectory = Trajectory(rig=own, x=x, u=forces, target=end, about=about)
     wrong = violations(trajectory, track_margin=track_margin)
-    return _Found(trajectory, float(answer["f"])) if not wrong else f"not holding in the simulator ({wrong})"
+    return _Found(trajectory, answer.cost) if not wrong else f"not holding in the simulator ({wrong})"
 
 
 def violations(trajectory: Trajectory, *, track_margin: float = 0.0) -> str:

@@ -8,7 +8,7 @@ loads nothing heavier than numpy and Gymnasium.
 
 import gymnasium
 
-from .controller import Act, Controller
+from .controller import Act, Controller, LawError
 from .identify import Identified, identify
 from .linear import discretize, linearize
 from .params import Params
@@ -28,6 +28,7 @@ __all__ = [
     "Balance",
     "Controller",
     "Identified",
+    "LawError",
     "Params",
     "Rig",
     "Run",

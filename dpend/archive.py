@@ -34,7 +34,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
     Parameters
     ----------
     path : str or Path
-        The file; its folder must exist.  Devices and pipes have no end to wait for and are written directly.
+        The file; its folder must exist.  Devices and pipes are written directly.
 
     Returns
     -------
@@ -145,7 +145,7 @@ def opened(path: str | Path, kind: str) -> Iterator[tuple[dict[str, Any], Arrays
             reason = (
                 str(error).rstrip(".") if isinstance(error, ValueError) else "it does not hold what such a file does"
             )
-        raise ValueError(f"{path} cannot be read as {kind!r}: {reason}. Save it anew, or copy it again.") from error
+        raise ValueError(f"{path} cannot be read as {kind!r}: {reason}. Save it again, or copy it afresh.") from error
 
 
 def _parsed(content: bytes, kind: str) -> tuple[dict[str, Any], Arrays]:
@@ -181,5 +181,5 @@ def _checksum(entries: Mapping[str, npt.NDArray[Any]]) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold instead of numpy's numbers and arrays; words for anything else."""
+    """Return what JSON can hold instead of numpy's numbers and arrays; ``str`` of anything else."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)

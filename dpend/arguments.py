@@ -1,4 +1,4 @@
-"""Numbers that callers hand in, told from what only looks like one."""
+"""Checks of the numbers that callers pass: finite ones, whole ones, seeds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 
 def is_finite(value: object) -> TypeGuard[float]:
-    """Return whether a value is one finite real number; words, truth values and arrays of several are none."""
+    """Return whether a value is one finite real number; strings, truth values and arrays of several are none."""
     try:
         array = np.asarray(value)
     except ValueError:  # rows of different lengths

@@ -1,20 +1,25 @@
-"""What a controller is: a description that makes fresh working memory for each run."""
+"""What a controller is: a description that makes fresh working memory for each run, or a function of one state."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
+import numpy.typing as npt
 
 from .params import Array
 
 Act = Callable[[float, Array], Array]
 r"""The law at work, :math:`u = \mathrm{act}(t, y)`: time in s and measurements ``(n, 6)`` to forces ``(n,)`` in N.
 
-A law that has more to tell carries an attribute ``log``, a mapping from names to lists that grow by one entry at each
-call: a number, or an array ``(n,)`` of one a row.  The records of runs keep it.
+A law may carry an attribute ``log``, a mapping from names to lists that grow by one entry at each call: a number, or an
+array ``(n,)`` of one a row.  The records of runs keep it.
 """
+
+Law = Callable[[float, Array], npt.ArrayLike]
+r"""A plain function :math:`u = \mathrm{law}(t, x)`: time in s and one state ``(6,)`` to a force in N."""
 
 
 @runtime_checkable
@@ -33,8 +38,8 @@ class Controller(Protocol):
         n : int
             Number of runs.
         rng : numpy.random.Generator
-            The source of whatever the law draws at random; one for the whole batch, so a batched law that draws gives a
-            row other numbers in another batch.
+            The source of whatever the law draws at random; one for the whole batch, so a batched law that draws uses
+            other numbers for a row in another batch.
 
         Returns
         -------
@@ -42,6 +47,69 @@ class Controller(Protocol):
             ``act(t, y)``: time in s and measurements ``(n, 6)`` to forces ``(n,)`` in N.
         """
         ...
+
+
+class LawError(ValueError):
+    """A law, or a push, that failed while it ran: the message says whose, when and for which rows.
+
+    Attributes
+    ----------
+    runs : Runs
+        The runs up to then; those that were going on end as ``Status.CONTROLLER_FAILED``.
+    """
+
+    def __init__(self, message: str, runs: Any = None) -> None:
+        super().__init__(message)
+        self.runs = runs
+
+
+@dataclass(frozen=True)
+class FunctionController:
+    """A plain function of one state as a controller; what it remembers is its own affair.
+
+    Parameters
+    ----------
+    law : callable
+        ``law(t, x)``: time in s and a state ``(6,)`` to a force in N.
+    """
+
+    law: Law
+    batched = False
+
+    @property
+    def name(self) -> str:
+        """The function's name."""
+        return str(getattr(self.law, "__name__", type(self.law).__name__))
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Return the law for ``n`` runs, called row by row."""
+
+        def act(t: float, y: Array) -> Array:
+            forces = [np.asarray(self.law(t, x.copy()), dtype=np.float64) for x in y]
+            if any(force.size != 1 for force in forces):
+                raise ValueError(f"expected one force; got shape {next(f.shape for f in forces if f.size != 1)}.")
+            return np.array([force.item() for force in forces])
+
+        return act
+
+
+def as_controller(controller: Controller | Law) -> Controller:
+    """Return the controller, or a plain function ``law(t, x)`` of one state as one.
+
+    Raises
+    ------
+    TypeError
+        If it is neither.
+    """
+    if not isinstance(controller, type | Controller) and callable(controller):
+        return FunctionController(controller)
+    check_controller(controller)
+    return cast(Controller, controller)
+
+
+def name_of(controller: Controller) -> str:
+    """Return what a controller is called: its ``name``, or its class's."""
+    return str(getattr(controller, "name", type(controller).__name__))
 
 
 def is_batched(controller: Controller) -> bool:

@@ -58,7 +58,7 @@ if sys.platform == "win32":  # a path's class cannot be subclassed as `Path` bef
 else:
     from pathlib import PosixPath as _Path
 
-# Okabe and Ito's palette: told apart by colour-blind eyes, and of different lightness.
+# Okabe and Ito's palette: distinct to colour-blind eyes, and of different lightness.
 BLUE, VERMILLION, GREEN, DARK, GREY = "#0072B2", "#D55E00", "#009E73", "#333333", "#8C8C8C"
 
 _DPI = 100
@@ -515,7 +515,7 @@ def _write_mp4(path: Path, frames: Iterable[Pixels], fps: float, ffmpeg: str) ->
     Raises
     ------
     RuntimeError
-        If ffmpeg fails; with its own words.
+        If ffmpeg fails; with its message.
     """
     frames = iter(frames)
     first = next(frames)
@@ -530,6 +530,6 @@ def _write_mp4(path: Path, frames: Iterable[Pixels], fps: float, ffmpeg: str) ->
             process.stdin.write(first.tobytes())
             for frame in frames:
                 process.stdin.write(frame.tobytes())
-        _, words = process.communicate()
+        _, message = process.communicate()
     if process.returncode:
-        raise RuntimeError(f"ffmpeg could not write the film: {words.decode(errors='replace').strip()}")
+        raise RuntimeError(f"ffmpeg could not write the film: {message.decode(errors='replace').strip()}")

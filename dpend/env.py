@@ -361,7 +361,7 @@ def checked_forces(forces: npt.ArrayLike | None, rig: Rig) -> Array | None:
         if not np.isfinite(rig.force_limit).all():
             raise ValueError(
                 f"A continuous action is a share of the force limit: expected a finite one; got {rig.force_limit!r}. "
-                "Set it with rig.replace(force_limit=...), in N, or give forces=[...] to choose from."
+                "Set it with rig.replace(force_limit=...), in N, or pass forces=[...] to choose from."
             )
         return None
     try:

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from .arguments import is_finite
 from .params import Array, Number, Params
 from .recording import fitted_rates
 from .rig import Rig
@@ -131,7 +132,7 @@ def identify(
     fit : sequence of str
         Names of the fields of :class:`dpend.Params` to find.
     segment : float
-        Length of a segment, s.  Shorter ones forgive disturbances that were not recorded, longer ones tell slow
+        Length of a segment, s.  Shorter ones forgive disturbances that were not recorded, longer ones show slow
         effects, such as friction, better.
     outputs : sequence of str
         What was measured with independent noise, of ``dpend.NAMES``; rates that were derived from positions do not
@@ -150,8 +151,8 @@ def identify(
         If ``runs`` or ``start`` is something else.
     ValueError
         If there is no such parameter or output, the runs hold no states, have different sample times, are shorter than
-        a segment or run away within one; or if the data cannot tell the parameters, which the message names, with the
-        remedy.  Where the motion fits far better with another sign of the force or of a coordinate, it names that.
+        a segment or run away within one; or if the data do not determine the parameters, which the message names, with
+        the remedy.  Where the motion fits far better with another sign of force or coordinate, it names that.
     RuntimeError
         If the search does not converge.
 
@@ -258,7 +259,7 @@ class _Segments:
         if len(sample_times) > 1:
             raise ValueError(f"All runs must have one sample time; got {', '.join(f'{h:g} s' for h in sample_times)}.")
         h = sample_times[0]
-        length = round(seconds / h) + 1 if math.isfinite(seconds) else 0
+        length = round(seconds / h) + 1 if is_finite(seconds) else 0
         if length * len(outputs) <= 6 + len(outputs):
             raise ValueError(
                 f"A segment must hold more than the six numbers of its initial state: expected segment to be several "
@@ -388,8 +389,8 @@ class _Problem:
         """Return outputs ``(copies, S, L m)`` from states ``(copies S, 6)``, one plant for all or one for each copy."""
         data = self.data
         if params.n is not None:
-            spread = {k: np.repeat(v, data.count) for k, v in params.to_dict().items() if isinstance(v, np.ndarray)}
-            params = replace(params, **spread)
+            copied = {k: np.repeat(v, data.count) for k, v in params.to_dict().items() if isinstance(v, np.ndarray)}
+            params = replace(params, **copied)
         stepper = Stepper(data.rig.replace(params=params), len(x0))
         stepper.reset(x0)
         samples = data.y.shape[1]
@@ -412,7 +413,7 @@ class _Problem:
     def _by_params(self, z: Array, x0: Array, weights: Array) -> Array:
         """Return the derivatives of the weighted residuals by the parameters ``(S, L m, p)``.
 
-        Central differences; ahead only, to the same order, for what must not fall below zero.
+        Central differences; forward ones, to the same order, for what must not fall below zero.
         """
         p = len(z)
         step = np.where(self.logarithm, _LOG_STEP, _STEP)
@@ -421,8 +422,8 @@ class _Problem:
         outputs = self._simulated(np.tile(x0, (2 * p + 1, 1)), self._plants(np.vstack([z, one, other])), 2 * p + 1)
         here, first, second = outputs[0], outputs[1 : p + 1], outputs[p + 1 :]
         central = (first - second) / (2 * step[:, None, None])
-        ahead = (4 * first - 3 * here - second) / (2 * step[:, None, None])
-        slopes = np.where(self.logarithm[:, None, None], central, ahead)
+        forward = (4 * first - 3 * here - second) / (2 * step[:, None, None])
+        slopes = np.where(self.logarithm[:, None, None], central, forward)
         return (np.tile(weights, self.data.y.shape[1]) * slopes).transpose(1, 2, 0)
 
 
@@ -443,7 +444,7 @@ def _search(problem: _Problem, z: Array, weights: Array, most: int) -> Any:
 
 
 def _fitted(problem: _Problem) -> tuple[Array, Array, Array]:
-    """Return the solution, the outputs' weights there, and the covariance; refuse what the data cannot tell."""
+    """Return the solution, the outputs' weights there, and the covariance; refuse what the data do not determine."""
     names, data, z = problem.names, problem.data, problem.start
     weights = np.ones(len(data.places))
     _require_rank(problem.reduced(z, weights)[1], names, data)
@@ -463,9 +464,24 @@ def _fitted(problem: _Problem) -> tuple[Array, Array, Array]:
     return z, weights, covariance
 
 
-# what may have been read with the wrong sign; the mirror image of each choice is as good
-_SIGNS = ({"u"}, {"pos"}, {"th1"}, {"th2"}, {"u", "pos"}, {"u", "th1"}, {"u", "th2"})
-_SIGN_OF = {"u": "force_unit", "pos": "position_unit", "th1": "angle_unit", "th2": "angle_unit"}
+# What may have been read with the wrong sign, the argument of Run.from_csv to look at, what that does to the positions,
+# and to the force.  The mirror image of each is as good, so the three others of two kinds need no lines of their own.
+_SIGNS: tuple[tuple[str, str, Array, float], ...] = (
+    ("u", "force_unit", np.eye(3), -1.0),
+    ("pos", "position_unit", np.diag([-1.0, 1.0, 1.0]), 1.0),
+    ("th1", "angle_unit", np.diag([1.0, -1.0, 1.0]), 1.0),
+    ("th2", "angle_unit", np.diag([1.0, 1.0, -1.0]), 1.0),
+    ("th2 against th1", "angle_unit", np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 2.0, -1.0]]), 1.0),
+    (
+        "th1, from which th2 is counted,",
+        "angle_unit",
+        np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, -2.0, 1.0]]),
+        1.0,
+    ),
+    ("u and pos", "force_unit and position_unit", np.diag([-1.0, 1.0, 1.0]), -1.0),
+    ("u and th1", "force_unit and angle_unit", np.diag([1.0, -1.0, 1.0]), -1.0),
+    ("u and th2", "force_unit and angle_unit", np.diag([1.0, 1.0, -1.0]), -1.0),
+)
 
 
 def _better_sign(problem: _Problem) -> str:
@@ -473,25 +489,24 @@ def _better_sign(problem: _Problem) -> str:
     data = problem.data
     weights = 1 / np.maximum(data.y.std(axis=(0, 1)), 1e-9)
 
-    def left(turned: set[str]) -> float:
-        sign = np.array([-1.0 if name in turned else 1.0 for name in 2 * OUTPUTS])
-        force = -data.u if "u" in turned else data.u
-        other = replace(data, u=force, y=data.y * sign[data.places], x0=data.x0 * sign)
+    def left(turn: Array, force: float) -> float:
+        """Return the squares that a short search leaves of the data with their signs turned."""
+        state = np.kron(np.eye(2), turn)
+        y = data.y @ state[np.ix_(data.places, data.places)].T
+        turned = replace(data, u=force * data.u, y=y, x0=data.x0 @ state.T)
         try:
-            tried = _Problem(other, problem.params, problem.names)
+            tried = _Problem(turned, problem.params, problem.names)
             return float(_search(tried, tried.start, weights, 10).cost)
         except (ValueError, np.linalg.LinAlgError):
             return math.inf
 
-    costs = [left(turned) for turned in _SIGNS]
-    best = min(costs)
-    if not best < _FAR_BETTER * left(set()):
+    costs = [left(turn, force) for _, _, turn, force in _SIGNS]
+    if not min(costs) < _FAR_BETTER * left(np.eye(3), 1.0):
         return ""
-    turned = sorted(next(each for each, cost in zip(_SIGNS, costs, strict=True) if cost <= 1.05 * best))
-    arguments = sorted({_SIGN_OF[name] for name in turned})
+    what, argument, *_ = next(sign for sign, cost in zip(_SIGNS, costs, strict=True) if cost <= 1.05 * min(costs))
     return (
-        f"with the sign of {_listed(turned)} turned round the model fits far better; look at the sign of "
-        f"{_listed(arguments)} in Run.from_csv."
+        f"with the sign of {what} turned round the model fits far better; look at the sign of {argument} in "
+        "Run.from_csv."
     )
 
 
@@ -499,7 +514,7 @@ def _better_sign(problem: _Problem) -> str:
 
 
 def _require_rank(jacobian: Array, names: tuple[str, ...], data: _Segments) -> None:
-    """Refuse parameters that the data do not tell, or not apart: null directions of the scaled Jacobian."""
+    """Refuse parameters that the data do not determine, or not separately: null directions of the scaled Jacobian."""
     from scipy.linalg import qr  # kept out of `import dpend`
 
     sizes = np.linalg.norm(jacobian, axis=0)
@@ -528,8 +543,8 @@ def _require_sight(errors: Array, names: tuple[str, ...], data: _Segments) -> No
     vague = [name for name, e in zip(names, errors, strict=True) if name not in _MAY_VANISH and e > _UNKNOWN]
     if vague:
         raise ValueError(
-            f"The data say next to nothing of {_listed(vague)}: the standard error is as large as the value. Record "
-            f"livelier or longer motion, or leave {_listed(vague)} out of fit{_excite(data)}."
+            f"The data hold next to no information on {_listed(vague)}: the standard error is as large as the value. "
+            f"Record livelier or longer motion, or leave {_listed(vague)} out of fit{_excite(data)}."
         )
 
 
@@ -554,8 +569,15 @@ def _value(params: Params, name: str) -> Number:
     return value
 
 
+def _named(argument: str, names: Sequence[str]) -> tuple[str, ...]:
+    try:
+        return (names,) if isinstance(names, str) else tuple(names)
+    except TypeError:
+        raise TypeError(f"{argument} must be one name, or several; got {names!r}.") from None
+
+
 def _checked_names(fit: Sequence[str], params: Params) -> tuple[str, ...]:
-    names = (fit,) if isinstance(fit, str) else tuple(fit)
+    names = _named("fit", fit)
     if not names:
         raise ValueError(f"fit names no parameter; expected some of {', '.join(_FITTABLE)}.")
     for name in names:
@@ -572,7 +594,7 @@ def _checked_names(fit: Sequence[str], params: Params) -> tuple[str, ...]:
 
 
 def _checked_outputs(outputs: Sequence[str]) -> tuple[str, ...]:
-    seen = (outputs,) if isinstance(outputs, str) else tuple(outputs)
+    seen = _named("outputs", outputs)
     for name in seen:
         if name not in NAMES:
             raise ValueError(f"There is no output {name!r}.{suggestion(str(name), NAMES)}")

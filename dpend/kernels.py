@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numba
 import numpy as np
+from numba.core.caching import FunctionCache
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from . import episode, equations, state
+from .cache import NotPrivate, private_folder
 from .params import Coefficients
 from .provenance import fingerprint
 
@@ -27,12 +30,33 @@ inline = numba.njit(forceinline=True, **_OPTIONS)
 """Compile a function that others inline.  ``contract`` fuses multiply-adds and leaves NaN as it is."""
 
 
+class _Cache(FunctionCache):
+    """Numba's cache, in which what cannot be read is compiled anew, and a full disk is no error."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # whatever pickle makes of a damaged file
+            self._saved(self.flush)
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        self._saved(super().save_overload, sig, data)
+
+    def _saved(self, save: Callable[..., None], *args: Any) -> None:
+        try:
+            save(*args)
+        except OSError:
+            self.disable()
+
+
 def compiled(function: Callable[..., Any]) -> Any:
     """Compile an entry point and keep the machine code on disk.
 
     Numba notices edits in the function's own file only, so the folder is named after a hash of all the sources it may
     use: what this file is made of, and the function's own package where that is another.  Where no folder can be
-    written, it is compiled anew each time.
+    written, it is compiled anew each time; so it is, with a warning, where others may write to the folder, because
+    what numba reads from it is a pickle.
     """
     here = Path(__file__).parent
     package = Path(function.__code__.co_filename).parent
@@ -42,14 +66,18 @@ def compiled(function: Callable[..., Any]) -> Any:
     if package != here:
         sources.append(package)
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    dispatcher = numba.njit(**_OPTIONS)(function)
     try:
         root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path.home() / ".cache" / "dpend")
-        numba.config.CACHE_DIR = str(root / fingerprint(*sources))  # type: ignore[attr-defined]
-        return numba.njit(cache=True, **_OPTIONS)(function)
-    except RuntimeError:  # there is no home, or numba found no folder it may write to
-        return numba.njit(**_OPTIONS)(function)
+        numba.config.CACHE_DIR = str(private_folder(root / fingerprint(*sources)))  # type: ignore[attr-defined]
+        dispatcher._cache = _Cache(function)  # type: ignore[attr-defined]
+    except NotPrivate as reason:
+        warnings.warn(str(reason), RuntimeWarning, stacklevel=2)
+    except (OSError, RuntimeError):  # there is no home, or no folder that may be written to
+        pass
     finally:
         numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+    return dispatcher
 
 
 # pi = _PI_HIGH + _PI_MIDDLE + _PI_LOW; the first two have 33 bits each, so their products with a number of half turns

@@ -222,13 +222,13 @@ def _sign_changes(u: Array) -> Array:
 
 def _slew(u: Array, sample_time: float, lag: float) -> Array:
     """Return the root mean square of the rate of staircases ``(n, T)`` that went through a first-order lag, N/s."""
-    rest = math.exp(-sample_time / lag)
+    decay = math.exp(-sample_time / lag)
     error = np.zeros(len(u))
     squares = np.zeros(len(u))
     for jump in np.diff(u, axis=1).T:
-        error = rest * error + jump
+        error = decay * error + jump
         squares += error * error
-    return np.sqrt(squares * (1 - rest * rest) / (2 * lag) / (u.shape[1] * sample_time))
+    return np.sqrt(squares * (1 - decay * decay) / (2 * lag) / (u.shape[1] * sample_time))
 
 
 def _lines_up_to(frequency: float, seconds: float) -> int:

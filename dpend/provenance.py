@@ -13,7 +13,7 @@ _LIBRARIES = ("dpend", "numpy", "scipy", "numba", "casadi", "control", "gymnasiu
 
 @cache
 def fingerprint(*sources: Path) -> str:
-    """Hash Python sources, so that results of another state of the code are told apart.
+    """Hash Python sources, so that results of another state of the code are recognised.
 
     Parameters
     ----------

@@ -7,6 +7,7 @@ import contextlib
 import csv
 import io
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -67,6 +68,8 @@ def read_recording(
     for name, unit in (("position_unit", position_unit), ("force_unit", force_unit)):
         if not (is_finite(unit) and unit != 0):
             raise ValueError(f"{name} must be a finite number other than 0, in SI units per unit; got {unit!r}.")
+    if not (is_finite(tolerance) and tolerance >= 0):
+        raise ValueError(f"tolerance must be a share of the sample time, at least 0; got {tolerance!r}.")
     if zero not in ("up", "down"):
         raise ValueError(f'zero must be "up" or "down", where the angles are counted from; got {zero!r}.')
     single_rig(rig, "A recording")
@@ -220,10 +223,16 @@ def _chosen(columns: Mapping[str, str | None] | None) -> dict[str, str | None]:
 def _read_table(path: Path, headings: dict[str, str | None], required: tuple[str, ...]) -> dict[str, Array]:
     """Read the columns that are there, as numbers."""
     text = _decoded(path.read_bytes(), [heading for heading in headings.values() if heading])
-    first = next((line for line in text.splitlines() if line.strip()), "")
-    delimiter = max(";\t,", key=lambda sign: len(next(csv.reader([first], delimiter=sign, skipinitialspace=True), [])))
-    rows = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, skipinitialspace=True)
-    lines = [line for line in rows if any(cell.strip() for cell in line)]
+    text = re.sub(r"\A\s*(sep=.\s*)?(#\s*)?", "", text)  # what Excel and numpy write before the names
+    first = next(iter(text.splitlines()), "").strip()
+    cells = {sign: len(next(csv.reader([first], delimiter=sign, skipinitialspace=True), [])) for sign in ";\t,| "}
+    delimiter = max(";\t,|", key=lambda sign: cells[sign])
+    delimiter = delimiter if cells[delimiter] > 1 else " "
+    rows = csv.reader(io.StringIO(text, newline=None), delimiter=delimiter, skipinitialspace=True)
+    try:
+        lines = [line for line in rows if any(cell.strip() for cell in line)]
+    except csv.Error as error:
+        raise ValueError(f"{path} is no table of comma-separated values or the like: {error}.") from error
     if not lines:
         raise ValueError(f"{path} is empty; expected a line of column names and one line a sample.")
     header = [cell.strip() for cell in lines[0]]
@@ -251,10 +260,12 @@ def _read_table(path: Path, headings: dict[str, str | None], required: tuple[str
 
 def _decoded(raw: bytes, headings: Sequence[str]) -> str:
     """Return the text of a file: Unicode if it can be, else of the code page that knows most of the headings."""
+    if raw.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
+        return raw.decode("utf-32", errors="replace")
     if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return raw.decode("utf-16")
+        return raw.decode("utf-16", errors="replace")
     if b"\0" in raw[:2]:  # UTF-16 without a mark: the first letter of a heading is ASCII
-        return raw.decode("utf-16-be" if raw[:1] == b"\0" else "utf-16-le")
+        return raw.decode("utf-16-be" if raw[:1] == b"\0" else "utf-16-le", errors="replace")
     with contextlib.suppress(UnicodeDecodeError):
         return raw.decode("utf-8-sig")
     texts = [raw.decode(page, errors="replace") for page in _CODE_PAGES]

@@ -226,10 +226,10 @@ class Run:
     ) -> Run:
         r"""Return what a laboratory recorded: a table with a line of column names, then one line a sample.
 
-        A line holds the time, what was measured then, and the force from then on; commas, semicolons or tabs
-        separate its cells.  Decimal signs are points or commas, the text is Unicode or of a Windows code page.  What
-        is measured stands in ``y``, and in ``x`` too, for want of anything better.  ``success`` says whether neither
-        link ever leaned by more than a quarter turn.
+        A line holds the time, what was measured then, and the force from then on; commas, semicolons, tabs, bars or
+        blanks separate its cells.  Decimal signs are points or commas, the text is Unicode or of a Windows code page.
+        What is measured stands in ``y``, and in ``x`` too, for want of anything better.  ``success`` says whether
+        neither link ever leaned by more than a quarter turn.
 
         Parameters
         ----------
@@ -336,7 +336,7 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Runs:
-    """``N`` runs side by side; what a run did not live to see is NaN.
+    """``N`` runs side by side; NaN after the end of each.
 
     Attributes
     ----------
@@ -553,7 +553,7 @@ class Runs:
 
     @classmethod
     def join(cls, parts: list[Runs], rig: Rig) -> Runs:
-        """Put parts of a batch together, in their order."""
+        """Return the parts of a batch joined, in their order."""
         stacked: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in ("u", "steps", "codes", "success", "final", "travel", "time_up", "step_time")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from time import perf_counter
 
@@ -10,14 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from .arguments import checked_seed, checked_whole
-from .controller import Act, Controller, check_controller, is_batched
+from .controller import Act, Controller, Law, LawError, as_controller, is_batched, name_of
 from .episode import UprightClock
 from .params import Array
 from .plant import PUSHES
 from .rig import Rig, as_rig
 from .run import Run, Runs
 from .state import as_states
-from .stepper import CONTROLLER_STREAM, Stepper, checked_push, row_sequence
+from .status import Status
+from .stepper import CONTROLLER_STREAM, Stepper, checked_forces, checked_push, row_sequence
 from .tasks import Balance, NoTask, Task, checked_task
 from .workers import pool
 
@@ -27,12 +28,12 @@ Push = Callable[[float], npt.ArrayLike]
 _BALANCE = Balance()
 
 BLOCK = 4096
-"""Rows stepped together: enough to spread Python's share, few enough to stay in the cache."""
+"""Rows stepped together: enough to share out Python's time, few enough to stay in the cache."""
 
 
 def simulate(
     rig: Rig,
-    controller: Controller,
+    controller: Controller | Law,
     x0: npt.ArrayLike,
     duration: float | None = None,
     *,
@@ -46,8 +47,8 @@ def simulate(
     ----------
     rig : Rig
         The true rig; what the controller believes is its own affair.
-    controller : Controller
-        The law.
+    controller : Controller or callable
+        The law; a plain function ``law(t, x)`` of one state ``(6,)`` will do.
     x0 : array_like (6,)
         The initial state.
     duration : float, optional
@@ -68,6 +69,13 @@ def simulate(
     ------
     TypeError, ValueError
         Before anything runs, if an argument is wrong.
+    LawError
+        If the law fails while it runs; the error keeps the runs so far.
+
+    Notes
+    -----
+    Where a law returns NaN or an infinite force, its last finite one counts, zero at first, and the log's
+    ``"not_finite"`` is one.
     """
     if np.shape(x0) != (6,):
         raise ValueError(f"x0 must be one state of shape (6,); got shape {np.shape(x0)}.")
@@ -82,7 +90,7 @@ def simulate(
 
 def simulate_many(
     rig: Rig,
-    controller: Controller,
+    controller: Controller | Law,
     x0: npt.ArrayLike,
     duration: float | None = None,
     *,
@@ -99,8 +107,8 @@ def simulate_many(
     ----------
     rig : Rig
         The true rig or rigs.
-    controller : Controller
-        The law.
+    controller : Controller or callable
+        The law; a plain function ``law(t, x)`` of one state ``(6,)`` will do.
     x0 : array_like (N, 6)
         The initial states.
     duration : float, optional
@@ -127,9 +135,16 @@ def simulate_many(
     ------
     TypeError, ValueError
         Before anything runs, if an argument is wrong.
+    LawError
+        If the law fails while it runs; the error keeps the runs so far.
+
+    Notes
+    -----
+    Where a law returns NaN or an infinite force, its last finite one counts, zero at first, and the log's
+    ``"not_finite"`` is one.
     """
     rig = as_rig(rig)
-    check_controller(controller)
+    controller = as_controller(controller)
     seed = checked_seed("seed", seed)
     first_row = checked_seed("first_row", first_row)
     states = as_states(x0)
@@ -149,9 +164,20 @@ def simulate_many(
     simulate_block = partial(_simulate_block, rig, controller, states, samples, the_task, push, seed, first_row, record)
     if workers > 1 and not is_batched(controller) and len(blocks) > 1:
         with pool(min(workers, len(blocks)), controller=controller, task=the_task, push=push) as executor:
-            parts = list(executor.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))))
-    else:
-        parts = [simulate_block(block) for block in blocks]
+            return _joined(executor.map(simulate_block, blocks, chunksize=-(-len(blocks) // (4 * workers))), rig)
+    return _joined(map(simulate_block, blocks), rig)
+
+
+def _joined(blocks: Iterable[Runs], rig: Rig) -> Runs:
+    """Return blocks side by side; where one fails, those that ended go with the error."""
+    parts: list[Runs] = []
+    try:
+        parts.extend(blocks)
+    except LawError as error:
+        parts.append(error.runs)
+        rows = sum(map(len, parts))
+        error.runs = parts[0] if len(parts) == 1 else Runs.join(parts, rig.rows(slice(0, rows)))
+        raise
     return parts[0] if len(parts) == 1 else Runs.join(parts, rig)
 
 
@@ -165,7 +191,7 @@ def _samples(rig: Rig, task: Task, duration: float | None) -> int:
     """
     if duration is None:
         if task.steps is None:
-            raise ValueError("Without a task a run has no natural end: give a duration in s.")
+            raise ValueError("Without a task a run has no natural end: pass a duration in s.")
         return task.steps
     if not isinstance(duration, int | float | np.integer | np.floating):
         raise TypeError(f"duration must be a number of seconds; got {duration!r}.")
@@ -193,7 +219,7 @@ def _simulate_block(
 ) -> Runs:
     """Simulate some rows of a batch.
 
-    A row that has ended is parked upright at rest without force, where it disturbs nobody, until all have ended.
+    A row that has ended is parked upright at rest without force, where it disturbs no other, until all have ended.
     """
     rig = rig.rows(block)
     x0 = states[block]
@@ -224,16 +250,32 @@ def _simulate_block(
         true[0], measured[0] = x0, y
     if not alive.all():
         y[~alive] = stepper.reset(np.zeros(6), ~alive)
+    u = np.zeros(n)
+    not_finite: list[tuple[int, npt.NDArray[np.bool_]]] = []
+    cause: Exception | None = None
+    whose, k = "", 0
 
     for k in range(samples):
         if not alive.any():
             break
-        began = perf_counter()
-        u = act(float(t[k]), y)
-        seconds[k] = perf_counter() - began
+        last = u
+        began, whose = perf_counter(), name_of(controller)
+        try:
+            u = checked_forces(act(float(t[k]), y), n)
+            seconds[k] = perf_counter() - began
+            whose = "The push"
+            pushed = None if push is None else checked_push(push(float(t[k])), len(states))
+        except Exception as error:  # what a user's function raises is its own affair
+            cause = error
+            steps[alive], codes[alive], final[alive] = k, Status.CONTROLLER_FAILED.code, stepper.x[alive]
+            alive[:] = False
+            break
         if not alive.all():
-            u = np.where(alive, u, 0.0)
-        pushed = None if push is None else checked_push(push(float(t[k])), len(states))
+            u[~alive] = 0.0
+        if not np.isfinite(u).all():
+            bad = ~np.isfinite(u)
+            not_finite.append((k, bad))
+            u = np.where(bad, last, u)
         pushed = pushed if pushed is None or pushed.ndim == 1 else pushed[block]
         y = stepper.step(u, pushed)
         x = stepper.x
@@ -259,11 +301,11 @@ def _simulate_block(
         measured[1:][after_end] = np.nan
     final[alive] = stepper.x[alive]
     success = upright.success(codes)
-    log = _log(act, n, samples, after_end)
+    log = _log(act, n, samples, after_end, not_finite)
     if pushes is not None:
         pushes[after_end] = np.nan
         log |= dict(zip(PUSHES, pushes.T, strict=True))
-    return Runs(
+    runs = Runs(
         t=t,
         u=forces.T,
         steps=steps,
@@ -275,24 +317,45 @@ def _simulate_block(
         step_time=np.broadcast_to(seconds / n, (n, samples)),
         log=log,
         rig=rig,
-        controller=getattr(controller, "name", type(controller).__name__),
+        controller=name_of(controller),
         task=repr(task),
         seed=seed,
         first_row=first,
         x=None if true is None else true.transpose(1, 0, 2),
         y=None if measured is None else measured.transpose(1, 0, 2),
     )
+    if cause is None:
+        return runs
+    rows = f"row {first}" if n == 1 else f"rows {first} to {first + n - 1}"
+    reason = str(cause) if type(cause) is ValueError else f"{type(cause).__name__}: {cause}"
+    raise LawError(
+        f"{whose} failed at t = {t[k]:g} s in {rows}: {reason.rstrip('.')}. The runs up to there are kept in the "
+        "error's `runs`.",
+        runs,
+    ) from cause
 
 
-def _log(act: Act, n: int, samples: int, after_end: npt.NDArray[np.bool_]) -> dict[str, Array]:
-    """Return what the law tells of its steps as arrays ``(n, samples)``; NaN after a run's end."""
+def _log(
+    act: Act,
+    n: int,
+    samples: int,
+    after_end: npt.NDArray[np.bool_],
+    not_finite: list[tuple[int, npt.NDArray[np.bool_]]],
+) -> dict[str, Array]:
+    """Return what the law logs of its steps, and which forces were not finite, as arrays ``(n, samples)``."""
     log: dict[str, Array] = {}
     for name, entries in getattr(act, "log", {}).items():
-        told = np.full((samples, n), np.nan)
+        logged = np.full((samples, n), np.nan)
         if len(entries) > samples:
             raise ValueError(f"A law's log has one entry a call, at most {samples}; {name!r} has {len(entries)}.")
         for k, entry in enumerate(entries):
-            told[k] = entry
-        told[after_end] = np.nan
-        log[name] = told.T
+            logged[k] = entry
+        log[name] = logged.T
+    if not_finite:
+        counted = np.zeros((samples, n))
+        for k, bad in not_finite:
+            counted[k] = bad
+        log["not_finite"] = counted.T
+    for logged in log.values():
+        logged.T[after_end] = np.nan
     return log

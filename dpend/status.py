@@ -13,6 +13,7 @@ class Status(Enum):
     LINK1_FELL = "Link 1 fell: it leans by more than a quarter turn."
     LINK2_FELL = "Link 2 fell: it leans by more than a quarter turn."
     NOT_FINITE = "The state is no longer a finite number."
+    CONTROLLER_FAILED = "The controller, or the push, failed; the run is kept up to there."
 
     @property
     def code(self) -> int:

@@ -43,6 +43,24 @@ def checked_push(push: npt.ArrayLike, n: int) -> Array:
     return array
 
 
+def checked_forces(u: npt.ArrayLike, n: int) -> Array:
+    """Return commanded forces as a new array ``(n,)``.
+
+    Raises
+    ------
+    ValueError
+        If they are not one number per row.
+    """
+    try:
+        forces = np.array(u, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"Expected one force per row, shape ({n},); got {u!r}.") from None
+    if forces.shape != (n,):
+        column = " A law written as y @ K.T returns a column: take [:, 0]." if forces.shape == (n, 1) else ""
+        raise ValueError(f"Expected one force per row, shape ({n},); got shape {forces.shape}.{column}")
+    return forces
+
+
 class _RowNoise:
     """Standard normal numbers ``(n, width)``, one independent stream a row, drawn ahead in chunks."""
 
@@ -137,7 +155,7 @@ class Stepper:
         self._first_limit = float(self._most[0])
         self._lagged = bool(np.any(rig.actuator_lag))
         with np.errstate(divide="ignore"):
-            self._rest = np.exp(-rig.sample_time / np.asarray(rig.actuator_lag)) if self._lagged else 0.0
+            self._remainder = np.exp(-rig.sample_time / np.asarray(rig.actuator_lag)) if self._lagged else 0.0
         self._drive = np.zeros(n)
         self._commands = _DelayLine(rig.actuator_delay, n, 1) if np.any(rig.actuator_delay) else None
         self._force_noise = _RowNoise(seed, rows, FORCE_STREAM, 1) if np.any(rig.force_noise) else None
@@ -147,7 +165,7 @@ class Stepper:
         self._resolution = np.broadcast_to(rig.resolution, (n, 6)) if np.any(rig.resolution) else None
 
     def reset(self, x0: npt.ArrayLike, rows: Rows | None = None) -> Array:
-        """Put all rows, or some, at new states with actuator and sensors at rest.
+        """Set all rows, or some, to new states with actuator and sensors at rest.
 
         Parameters
         ----------
@@ -201,10 +219,7 @@ class Stepper:
             If the forces, or the pushes, are not of that shape.
         """
         rig = self.rig
-        command = np.array(u, dtype=np.float64)
-        if command.shape != (self.n,):
-            column = " A law written as y @ K.T gives a column: take [:, 0]." if command.shape == (self.n, 1) else ""
-            raise ValueError(f"Expected one force per row, shape ({self.n},); got shape {command.shape}.{column}")
+        command = checked_forces(u, self.n)
         if self._commands is not None:
             command = self._commands.pass_on(command[:, None])[:, 0]
         if self._limited:
@@ -214,7 +229,7 @@ class Stepper:
             elif abs(command.item()) > self._first_limit:  # numpy takes far longer for one number
                 command[0] = math.copysign(self._first_limit, command.item())
         if self._lagged:
-            command = command + self._rest * (self._drive - command)  # exact for a row without lag
+            command = command + self._remainder * (self._drive - command)  # exact for a row without lag
             self._drive = command.copy()
         if self._force_noise is not None:
             command = command + rig.force_noise * self._force_noise.draw()[:, 0]
@@ -231,7 +246,7 @@ class Stepper:
         return reading if self._readings is None else self._readings.pass_on(reading)
 
     def _measured(self, y: Array, rows: Rows) -> Array:
-        """Round the states of some rows, and give them noise, in place."""
+        """Round the states of some rows, and add noise, in place."""
         if self._resolution is not None:
             step = self._resolution[rows]
             np.divide(y, step, out=y, where=step > 0)

@@ -191,12 +191,12 @@ class Balance(ReportCost):
         return x
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Return that every state will do: balancing asks for nothing but to last."""
+        """Return that every state counts: balancing asks for nothing but to last."""
         return np.ones(len(x), dtype=np.bool_)
 
 
 def check_lam(lam: float) -> None:
-    r"""Refuse a spread that is no spread, or that starts beyond the horizontal.
+    r"""Refuse a greatest starting angle that is none, or that lies beyond the horizontal.
 
     Raises
     ------
@@ -204,9 +204,7 @@ def check_lam(lam: float) -> None:
         Unless :math:`0 < \lambda \le \pi/2`.
     """
     if not (is_finite(lam) and 0 < lam <= math.pi / 2):
-        raise ValueError(
-            f"lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; got {lam!r}."
-        )
+        raise ValueError(f"lambda is the greatest starting angle in rad: expected 0 < lambda <= pi/2; got {lam!r}.")
 
 
 STARTS: Mapping[str, Array] = {
@@ -229,9 +227,9 @@ class SwingUp(ReportCost):
     Parameters
     ----------
     start : str
-        "hanging", both links down; "side", both level to the positive side, :math:`(\pi/2, \pi/2)`, as in the report;
-        the name of one of ``dpend.EQUILIBRIA``; or "anywhere": angles :math:`U[-\pi, \pi]`, the cart within half the
-        track (1 m where it has no end), rates :math:`\mathcal N(0, 1)` in m/s and rad/s.
+        "hanging", both links down; "side", both horizontal on the positive side, :math:`(\pi/2, \pi/2)`, as in the
+        report; the name of one of ``dpend.EQUILIBRIA``; or "anywhere": angles :math:`U[-\pi, \pi]`, the cart within
+        half the track (1 m where it is unlimited), rates :math:`\mathcal N(0, 1)` in m/s and rad/s.
     target : str
         The name of the equilibrium that is to be reached; wherever it says "upright" here, this is meant.
     angle_spread : float

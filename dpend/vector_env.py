@@ -57,7 +57,7 @@ _OWN_KEYWORDS = (
 
 @compiled
 def _pick(forces, indices, picked):
-    """Fill in the force of every index, and tell whether there is one for each."""
+    """Fill in the force of every index, and return whether there is one for each."""
     last = len(forces) - 1
     good = True
     for i in range(len(indices)):
@@ -96,13 +96,13 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
     Observations ``(n, 6)`` or ``(n, 8)``, rewards ``(n,)`` and flags ``(n,)`` are those of single environments in
     Gymnasium's ``SyncVectorEnv``; without noise a copy
     does, bit for bit, what a single environment does from the same start.  Every
-    array returned belongs to the caller.  ``infos`` speaks of episodes that are over: ``"status"``, the place of what
+    array returned belongs to the caller.  ``infos`` describes episodes that are over: ``"status"``, the index of what
     ended them in ``list(dpend.Status)``, and ``"success"``, with the masks ``"_status"`` and ``"_success"``.  True
     states and applied forces are attributes.
 
     One generator draws the starts of all copies.  ``reset(seed=s)`` restarts all random numbers, the noise of
     :func:`dpend.simulate_many` with ``seed=s`` included.  ``reset(options=...)`` takes ``"x0"``, one state (6,) or one
-    a copy (n, 6), and ``"reset_mask"``, a bool array (n,) that says which copies begin anew.
+    a copy (n, 6), and ``"reset_mask"``, a bool array (n,) that says which copies begin again.
 
     Parameters
     ----------
@@ -115,10 +115,11 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
     reward, forces, observation
         See :class:`~dpend.env.CartDoublePendulumEnv`; actions are ``(n,)`` indices or ``(n, 1)`` shares.
     autoreset_mode : gymnasium.vector.AutoresetMode
-        When a copy that has ended begins anew: in the step after, whose action it ignores; in the same step, with the
-        last observation and info of the episode in ``infos["final_obs"]`` and ``infos["final_info"]``; or when told to.
+        When a copy that has ended begins again: in the step after, whose action it ignores; in the same step, with the
+        last observation and info of the episode in ``infos["final_obs"]`` and ``infos["final_info"]``; or when
+        :meth:`reset` is called with a mask.
     render_mode : {"rgb_array"}, optional
-        Whether :meth:`render` gives pictures; for 64 copies at most.
+        Whether :meth:`render` returns pictures; for 64 copies at most.
 
     Attributes
     ----------
@@ -235,7 +236,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
             mask = self._checked_mask(options["reset_mask"])
             if seed is not None:
                 raise ValueError(
-                    "A seed restarts the random numbers of all copies, a reset_mask begins some: give one or the other."
+                    "A seed restarts the random numbers of all copies, a reset_mask begins some: pass one or the other."
                 )
             if self._stepper is None:
                 raise ResetNeeded("There are no episodes yet: call reset() without a reset_mask first.")
@@ -344,7 +345,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         }
 
     def _begin(self, rows: Indices, x0: Array | None = None) -> Array:
-        """Put some copies at the start of an episode; give their measurements."""
+        """Set some copies to the start of an episode; return their measurements."""
         assert self._stepper is not None
         if x0 is None:
             x0 = self._starts(rows)
@@ -426,7 +427,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
 
 
 def _described(array: npt.NDArray[Any]) -> str:
-    """Say what an array of actions or flags is, in a few words."""
+    """Describe an array of actions or flags in short."""
     values = f", values {array.min():g} to {array.max():g}" if array.size and array.dtype.kind in "fiu" else ""
     return f"shape {array.shape}, dtype {array.dtype}{values}"
 

@@ -110,9 +110,9 @@ def evaluate(policy: Controller, task: str, rig: Rig, n: int, seed: int | Sequen
         Mean total variation of the force over the last four seconds of the runs that succeed, in force limits per
         second; NaN where none does.
     """
-    rng, judge = np.random.default_rng(seed), _evaluated(task, rig)
-    starts = judge.starts(rng, n, rig) if task == "balance" else swing_up_starts(rng, n, rig)
-    runs = simulate_many(rig, policy, starts, task=judge)
+    rng, evaluated = np.random.default_rng(seed), _evaluated(task, rig)
+    starts = evaluated.starts(rng, n, rig) if task == "balance" else swing_up_starts(rng, n, rig)
+    runs = simulate_many(rig, policy, starts, task=evaluated)
     last = runs.u[runs.success, -round(4.0 / rig.sample_time) :]
     variation = force_metrics(last, rig.sample_time, rig.force_limit)["variation"] if len(last) else np.array([np.nan])
     return float(runs.success.mean()), float(variation.mean())

@@ -204,7 +204,8 @@ class LinearQLearning:
         ``restarts``.
         """
         session = Session(self, seed, seconds, progress, _STREAM)
-        rng, settings, plant = session.rng, self._settings(), episode(self.rig, self.task)
+        rng, plant = session.rng, episode(self.rig, self.task)
+        settings = _Settings(*(getattr(self, name) for name in _Settings._fields))
         scales, forces = np.array(self.scales, dtype=np.float64), np.array(self.forces, dtype=np.float64)
         most, longest_test = self.max_episodes, len(self.acceptance) * self.acceptance_episodes * self.task.steps
         lengths, upright, tested = (np.zeros(most, dtype=np.int64) for _ in range(3))
@@ -264,17 +265,6 @@ class LinearQLearning:
             if runs.success.mean() < share:
                 return False, samples
         return True, samples
-
-    def _settings(self) -> _Settings:
-        return _Settings(
-            alpha=float(self.alpha),
-            alpha_decay=float(self.alpha_decay),
-            gamma=float(self.gamma),
-            epsilon=float(self.epsilon),
-            epsilon_decay=float(self.epsilon_decay),
-            bootstrap_failure=bool(self.bootstrap_failure),
-            streak=int(self.streak),
-        )
 
 
 class _Settings(NamedTuple):

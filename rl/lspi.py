@@ -99,9 +99,48 @@ def greedy_gain(H: Array) -> Array | None:
     return H[-1, :-1] / H[-1, -1]
 
 
+@dataclass(frozen=True, kw_only=True)
+class _GainLearner:
+    """What both learners have alike: the plant, the cost, the discount and how they practise."""
+
+    rig: Rig = field(kw_only=False)
+    state_weights: Sequence[float] = (1.0, 10.0, 10.0, 1.0, 1.0, 1.0)
+    force_weight: float = 0.1
+    gamma: float = 0.99
+    gamma_start: float = 0.6
+    noise: float = 2.0
+    lam: float = 0.02
+    angle_cut: float = 0.1
+    episode_steps: int = 100
+
+    @property
+    def task(self) -> Balance:
+        """Balancing, in episodes of its own."""
+        return Balance(lam=self.lam, steps=self.episode_steps)
+
+    def _check(self, whole: Sequence[str], *own: tuple[str, bool, str]) -> None:
+        """Refuse settings that make no sense, before anything runs."""
+        object.__setattr__(self, "rig", training_rig(self.rig, type(self).__name__))
+        for name in (*whole, "episode_steps"):
+            checked_whole(name, getattr(self, name))
+        weights = self.state_weights
+        weights_good = len(weights) == 6 and all(math.isfinite(weight) and weight >= 0 for weight in weights)
+        check_ranges(
+            self,
+            ("state_weights", weights_good, "6 finite numbers, at least 0"),
+            ("force_weight", 0 < self.force_weight < math.inf, "finite and greater than 0"),
+            ("gamma", 0 < self.gamma <= 1, "above 0 and at most 1"),
+            ("gamma_start", 0 < self.gamma_start <= 1, "above 0 and at most 1"),
+            ("noise", 0 < self.noise < math.inf, "finite and greater than 0"),
+            ("lam", 0 < self.lam <= math.pi / 2, "above 0 and at most pi/2"),
+            ("angle_cut", 0 < self.angle_cut <= math.pi / 2, "above 0 and at most pi/2"),
+            *own,
+        )
+
+
 @suggests
 @dataclass(frozen=True, kw_only=True)
-class LSPI:
+class LSPI(_GainLearner):
     r"""Least-squares policy iteration on a rig: from :math:`K = 0`, without a model, to a gain.
 
     In every iteration the current policy acts, with noise on its force; LSTD-Q evaluates it on the latest samples;
@@ -145,33 +184,18 @@ class LSPI:
         If a number is out of its range, or the rig is not ideal.
     """
 
-    rig: Rig = field(kw_only=False)
-    state_weights: Sequence[float] = (1.0, 10.0, 10.0, 1.0, 1.0, 1.0)
-    force_weight: float = 0.1
-    gamma: float = 0.99
-    gamma_start: float = 0.6
     anneal: int = 50
     iterations: int = 60
     samples: int = 100
     keep: int = 300
     step: float = 0.5
-    noise: float = 2.0
-    lam: float = 0.02
-    angle_cut: float = 0.1
-    episode_steps: int = 100
 
     def __post_init__(self) -> None:
-        _check(
-            self,
+        self._check(
             ("iterations", "samples", "keep", "anneal"),
             ("step", 0 < self.step <= 1, "above 0 and at most 1"),
             ("keep", self.keep >= len(QUADRATIC), f"at least {len(QUADRATIC)}, the number of features"),
         )
-
-    @property
-    def task(self) -> Balance:
-        """Balancing, in episodes of its own."""
-        return Balance(lam=self.lam, steps=self.episode_steps)
 
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
         """Learn from zero gain, as every :class:`rl.Learner` does; the last iteration may have fewer samples.
@@ -205,7 +229,7 @@ class LSPI:
 
 @suggests
 @dataclass(frozen=True, kw_only=True)
-class QuadraticQLearning:
+class QuadraticQLearning(_GainLearner):
     r"""One-step Q-learning with the quadratic features, in the costs, starts and cuts of :class:`LSPI`.
 
     Every sample does, for features :math:`x` of scaled variables,
@@ -258,38 +282,23 @@ class QuadraticQLearning:
         If a number is out of its range, or the rig is not ideal.
     """
 
-    rig: Rig = field(kw_only=False)
-    state_weights: Sequence[float] = (1.0, 10.0, 10.0, 1.0, 1.0, 1.0)
-    force_weight: float = 0.1
-    gamma: float = 0.99
-    gamma_start: float = 0.6
     anneal: int = 5000
     samples: int = 6000
     alpha: float = 0.5
     epsilon: float = 0.1
     scales: Sequence[float] = (0.02, 0.05, 0.05, 0.1, 0.15, 0.15, 4.0)
     force_bound: float = 40.0
-    noise: float = 2.0
-    lam: float = 0.02
-    angle_cut: float = 0.1
-    episode_steps: int = 100
     record_every: int = 100
 
     def __post_init__(self) -> None:
         scales_good = len(self.scales) == 7 and all(math.isfinite(scale) and scale > 0 for scale in self.scales)
-        _check(
-            self,
+        self._check(
             ("samples", "anneal", "record_every"),
             ("alpha", 0 < self.alpha < 2, "above 0 and below 2"),
             ("epsilon", 0 < self.epsilon < math.inf, "finite and greater than 0"),
             ("scales", scales_good, "7 finite numbers greater than 0"),
             ("force_bound", 0 < self.force_bound < math.inf, "finite and greater than 0"),
         )
-
-    @property
-    def task(self) -> Balance:
-        """Balancing, in episodes of its own."""
-        return Balance(lam=self.lam, steps=self.episode_steps)
 
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
         r"""Learn from zero gain, as every :class:`rl.Learner` does.
@@ -300,14 +309,8 @@ class QuadraticQLearning:
         practice = _Practice(self, Session(self, seed, seconds, progress, _STREAM))
         scales = np.asarray(self.scales, dtype=np.float64)
         costs = np.append(self.state_weights, self.force_weight).astype(np.float64)
-        settings = _Steps(
-            alpha=float(self.alpha),
-            epsilon=float(self.epsilon),
-            gamma=float(self.gamma),
-            gamma_start=float(self.gamma_start),
-            anneal=int(self.anneal),
-            bound=min(float(self.force_bound), float(self.rig.force_limit)),
-        )
+        bound = min(float(self.force_bound), float(self.rig.force_limit))
+        settings = _Steps(self.alpha, self.epsilon, self.gamma, self.gamma_start, self.anneal, bound)
         w = np.zeros(len(QUADRATIC))
         w[-1] = self.force_weight * scales[6] ** 2
         total = min(self.samples, practice.session.budget)
@@ -349,26 +352,6 @@ class _Practice:
         details = {"gains": gains, "samples": np.array(samples)}
         curve = {"length": lengths[:-1] if under_way else lengths}
         return self.session.training(outcome, GainPolicy, gains[-1], (details["samples"], gains), curve, details)
-
-
-def _check(learner: LSPI | QuadraticQLearning, whole: Sequence[str], *own: tuple[str, bool, str]) -> None:
-    """Refuse settings that make no sense, before anything runs."""
-    object.__setattr__(learner, "rig", training_rig(learner.rig, type(learner).__name__))
-    for name in (*whole, "episode_steps"):
-        checked_whole(name, getattr(learner, name))
-    weights = learner.state_weights
-    weights_good = len(weights) == 6 and all(math.isfinite(weight) and weight >= 0 for weight in weights)
-    check_ranges(
-        learner,
-        ("state_weights", weights_good, "6 finite numbers, at least 0"),
-        ("force_weight", 0 < learner.force_weight < math.inf, "finite and greater than 0"),
-        ("gamma", 0 < learner.gamma <= 1, "above 0 and at most 1"),
-        ("gamma_start", 0 < learner.gamma_start <= 1, "above 0 and at most 1"),
-        ("noise", 0 < learner.noise < math.inf, "finite and greater than 0"),
-        ("lam", 0 < learner.lam <= math.pi / 2, "above 0 and at most pi/2"),
-        ("angle_cut", 0 < learner.angle_cut <= math.pi / 2, "above 0 and at most pi/2"),
-        *own,
-    )
 
 
 class _Steps(NamedTuple):

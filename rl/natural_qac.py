@@ -281,7 +281,7 @@ class _Critic:
 
 
 def ablations(rig: Rig | str) -> dict[str, NaturalQAC]:
-    """Return the tuned learner without one of its deviations each, by the words that say which.
+    """Return the tuned learner without one of its deviations each, by a name that says which.
 
     Parameters
     ----------

@@ -28,8 +28,13 @@ class Saved:
 
     kind: ClassVar[str]
     """What it is called in its file."""
+    name: str
+    """What it is called in tables."""
     about: dict[str, Any]
-    """Where it comes from, in words and numbers."""
+    """Where it comes from, as JSON can hold it."""
+
+    def __repr__(self) -> str:
+        return f"<{self.name}, seed {self.about.get('seed')}, {self.about.get('outcome', 'of unknown origin')}>"
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return what is saved, by name; none of objects."""
@@ -66,7 +71,7 @@ class LinearQPolicy(Saved):
     forces : array_like (m,)
         The action set :math:`A`, N.
     about : mapping, optional
-        Where the weights come from, in words and numbers; saved with them.
+        Where the weights come from; saved with them.
 
     Raises
     ------
@@ -90,9 +95,6 @@ class LinearQPolicy(Saved):
         self.scales = _vector("scales", scales, len(TABLE1))
         self.forces = _vector("forces", forces, None)
 
-    def __repr__(self) -> str:
-        return f"<{self.name}, seed {self.about.get('seed')}, {self.about.get('outcome', 'of unknown origin')}>"
-
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
         slope_weights = self.weights[-6:] * self.scales[-6:]
@@ -113,7 +115,7 @@ class GainPolicy(Saved):
     K : array_like (6,)
         Gain, N per unit of each state.
     about : mapping, optional
-        Where the gain comes from, in words and numbers; saved with it.
+        Where the gain comes from; saved with it.
 
     Raises
     ------
@@ -156,7 +158,7 @@ class TableOneMean(Saved):
     indicators : {"none", "signs", "cells"}
         Which of :data:`INDICATORS` take part.
     about : mapping, optional
-        Where the weights come from, in words and numbers; saved with them.
+        Where the weights come from; saved with them.
 
     Raises
     ------
@@ -175,9 +177,6 @@ class TableOneMean(Saved):
         if self.indicators not in INDICATORS:
             raise ValueError(f"indicators must be one of {', '.join(map(repr, INDICATORS))}; got {self.indicators!r}.")
         self.v = _vector("v", v, 12 + INDICATORS[self.indicators])
-
-    def __repr__(self) -> str:
-        return f"<{self.name}, seed {self.about.get('seed')}, {self.about.get('outcome', 'of unknown origin')}>"
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
@@ -221,7 +220,7 @@ class Network(Saved):
     squash : {"clip", "tanh"}
         :math:`s`, which brings actions within -1 and 1.
     about : mapping, optional
-        Where the weights come from, in words and numbers; saved with them.
+        Where the weights come from; saved with them.
 
     Raises
     ------
@@ -330,7 +329,7 @@ class MLPPolicy(Saved):
     period : float
         How long a force is held, s; on a rig with a longer sample time it acts at every sample.
     about : mapping, optional
-        Where the policy comes from, in words and numbers; saved with it.
+        Where the policy comes from; saved with it.
 
     Raises
     ------

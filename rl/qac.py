@@ -171,14 +171,7 @@ class GaussianQAC:
         """
         session = Session(self, seed, seconds, progress, _STREAM)
         rng, plant, most = session.rng, episode(self.rig, self.task), self.max_episodes
-        settings = _Settings(
-            alpha=float(self.alpha),
-            beta=float(self.beta),
-            sigma=float(self.sigma),
-            gamma=float(self.gamma),
-            indicators=INDICATORS[self.indicators],
-            streak=int(self.streak),
-        )
+        settings = _Settings(self.alpha, self.beta, self.sigma, self.gamma, INDICATORS[self.indicators], self.streak)
         m = 12 + settings.indicators
         v, w = self.init_std * rng.standard_normal(m), self.init_std * rng.standard_normal(m + 6)
         lengths, rewards = np.zeros(most, dtype=np.int64), np.zeros(most)

@@ -31,7 +31,7 @@ Value = TypeVar("Value")
 if TYPE_CHECKING:
     Filled = Annotated[Value, "None until the default is filled in"]
 else:
-    Filled = Optional  # to who builds a recipe; who reads one finds a value
+    Filled = Optional  # where a recipe is built; where one is read there is a value
 _DEFAULT: Any = None
 
 NEEDED: Mapping[str, tuple[str, ...]] = MappingProxyType(

@@ -3,11 +3,12 @@ r"""What deep learners see and are rewarded for: a map from states to observatio
 .. math::
     o(y) &= (p/s_p,\ \sin\theta_1,\ \cos\theta_1,\ \sin\theta_2,\ \cos\theta_2,\ v/s_v,\ \omega_1/s_\omega,\
             \omega_2/s_\omega) \\
-    r(x) &= \bigl[\tfrac12\,h\,(\tfrac12 + \tfrac12\,k) + \tfrac12\,e^{-5(2 - \cos\theta_1 - \cos\theta_2)}\bigr]
-            \bigl(1 - \tfrac{3}{10}(p/s_p)^2\bigr) - 5\,[\text{failed}]
+    r(x) &= \bigl[\tfrac12\,h\,(\tfrac12 + \tfrac12\,k) + \tfrac12\,n\bigr]
+            \bigl(1 - \tfrac{3}{10}\min((p/s_p)^2, 1)\bigr) - 5\,[\text{failed}]
 
-with the height :math:`h = \tfrac12 + \tfrac12(L_1\cos\theta_1 + L_2\cos\theta_2)/(L_1 + L_2)` of the tip and the calm
-:math:`k = e^{-2(\omega_1^2 + \omega_2^2)/s_\omega^2}`.  The scales follow from the rig: :math:`s_p` is the end of the
+with three terms: *height* of the tip, :math:`h = \tfrac12 + \tfrac12(L_1\cos\theta_1 + L_2\cos\theta_2)/(L_1 + L_2)`;
+*settled*, :math:`k = e^{-2(\omega_1^2 + \omega_2^2)/s_\omega^2}`; and *upright*,
+:math:`n = e^{-5(2 - \cos\theta_1 - \cos\theta_2)}`.  The scales follow from the rig: :math:`s_p` is the end of the
 track, :math:`s_\omega = 2\sqrt{g/L}` with the mean length :math:`L`, and :math:`s_v = s_\omega L/2`.
 """
 
@@ -32,7 +33,7 @@ def observation_scales(rig: Rig) -> Array:
     Parameters
     ----------
     rig : Rig
-        The rig; where its track has no end, :math:`s_p` is the length of both links.
+        The rig; where its track is unlimited, :math:`s_p` is the length of both links.
 
     Returns
     -------
@@ -45,19 +46,19 @@ def observation_scales(rig: Rig) -> Array:
 
 
 def nearness(cos1: Array, cos2: Array) -> Array:
-    r"""Return :math:`e^{-5(2 - \cos\theta_1 - \cos\theta_2)}`: one upright, nothing far from it."""
+    r"""Return :math:`n`, the term *upright*: one where both links are up, nothing far from it."""
     return np.exp(-5.0 * (2.0 - cos1 - cos2))
 
 
 def observe(y: Array, scales: Array, last: Array | None = None) -> Array:
-    r"""Return :math:`o(y)`, with the last action behind it where there is one.
+    r"""Return :math:`o(y)`, followed by the last action where there is one.
 
     Parameters
     ----------
     y : ndarray (n, 6)
         Measured states.
     scales : ndarray (4,)
-        What :func:`observation_scales` gives.
+        What :func:`observation_scales` returns.
     last : ndarray (n,), optional
         Last actions, shares of the force limit.
 
@@ -126,7 +127,7 @@ class Shaped:
         cos1, cos2 = np.cos(x[:, 1]), np.cos(x[:, 2])
         height = 0.5 + 0.5 * (self._shares[0] * cos1 + self._shares[1] * cos2)
         rates = x[:, 4:] / self._scales[2:]
-        calm = np.exp(-2.0 * (rates**2).sum(axis=1))
-        central = 1.0 - 0.3 * np.minimum((x[:, 0] / self._scales[0]) ** 2, 1.0)
-        reward = (0.5 * height * (0.5 + 0.5 * calm) + 0.5 * nearness(cos1, cos2)) * central
+        settled = np.exp(-2.0 * (rates**2).sum(axis=1))
+        centered = 1.0 - 0.3 * np.minimum((x[:, 0] / self._scales[0]) ** 2, 1.0)
+        reward = (0.5 * height * (0.5 + 0.5 * settled) + 0.5 * nearness(cos1, cos2)) * centered
         return _FAILURE_COST * (codes != 0) - reward

@@ -174,8 +174,8 @@ def _train(options: DeepOptions, recipe: DeepRecipe, out: Path, command: str, co
         bars = {seed: progress.add_task(f"{recipe.name}, seed {seed}", total=recipe.steps) for seed in folders}
 
         def show(seed: int, seen: Evaluation) -> None:
-            words = f"{recipe.name}, seed {seed}, {_score(recipe, seen)}"
-            progress.update(TaskID(bars[seed]), completed=min(seen.steps, recipe.steps), description=words)
+            shown = f"{recipe.name}, seed {seed}, {_score(recipe, seen)}"
+            progress.update(TaskID(bars[seed]), completed=min(seen.steps, recipe.steps), description=shown)
 
         if min(options.workers, options.seeds) == 1:
             for seed, folder in folders.items():

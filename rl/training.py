@@ -220,13 +220,7 @@ def task_name(learner: Learner) -> Literal["balance", "swing-up"]:
 
 
 def training_rig(rig: Rig | str, learner: str) -> Rig:
-    """Return the rig, or the preset of that name, for a learner of ideal rigs.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As :func:`dpend.rig.single_rig`; and if the rig is not ideal.
-    """
+    """Return the rig, or the preset of that name; refuse one of several rows or with lag, delay, noise or rounding."""
     rig = single_rig(rig, learner)
     if not rig.ideal:
         raise ValueError(
@@ -237,26 +231,14 @@ def training_rig(rig: Rig | str, learner: str) -> Rig:
 
 
 def check_ranges(settings: object, *rules: tuple[str, bool, str]) -> None:
-    """Refuse settings out of their ranges: for each its name, whether it is good, and what was expected.
-
-    Raises
-    ------
-    ValueError
-        For the first that is not good.
-    """
+    """Refuse the first setting out of its range: of each its name, whether it is good, and what was expected."""
     for name, good, wanted in rules:
         if not good:
             raise ValueError(f"{name} must be {wanted}; got {getattr(settings, name)!r}.")
 
 
 def samples_within(seconds: float | None, sample_time: float) -> int:
-    """Return the whole samples that a budget of experience allows.
-
-    Raises
-    ------
-    ValueError
-        If it is not finite or shorter than a sample.
-    """
+    """Return the whole samples that a budget of experience allows; refuse one shorter than a sample."""
     if seconds is None:
         return 2**62
     if not is_finite(seconds) or seconds < sample_time:
@@ -267,14 +249,7 @@ def samples_within(seconds: float | None, sample_time: float) -> int:
 class Session:
     """A training under way: its random numbers, its budget and clock, and the result that it comes to.
 
-    Parameters
-    ----------
-    learner : Learner
-        What is trained.
-    seed, seconds, progress
-        See :meth:`Learner.train`.
-    stream : int
-        What sets the learner's random numbers apart from others drawn with the same seed.
+    ``stream`` sets the learner's random numbers apart from others drawn with the same seed.
     """
 
     def __init__(self, learner: Learner, seed: Seed, seconds: float | None, progress: Progress, stream: int) -> None:
@@ -305,22 +280,10 @@ class Session:
         curve: Mapping[str, Any],
         details: Mapping[str, Any],
     ) -> Training:
-        """Return the result.
+        """Return the result: ``law`` makes a policy of weights and ``about``, its provenance.
 
-        Parameters
-        ----------
-        outcome : Outcome
-            How it ended.
-        law : callable
-            What makes a policy of weights and of ``about``, its provenance.
-        weights : ndarray
-            Those at the end.
-        trail : (ndarray (m,), sequence of m)
-            Samples until each recorded policy, and its weights.
-        curve : mapping
-            What each episode was, its ``length`` at least, and samples ``tested`` after it, if there were tests.
-        details : mapping
-            See :class:`Training`.
+        ``trail`` has the samples until each recorded policy and its weights; ``curve`` at least the ``length`` of each
+        episode, and the samples ``tested`` after it, if there were tests.
         """
         self.report(1.0)
         sample_time, tested = self._learner.rig.sample_time, curve.get("tested", np.zeros(len(curve["length"]), int))

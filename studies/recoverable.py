@@ -202,7 +202,7 @@ def holds(plan: Trajectory, x0: Array, task: dpend.Balance) -> bool:
 @cache
 def _search(horizon: int, round_it: bool = False) -> LeastForce:
     limits = (math.pi / 2 - 0.01, math.inf if round_it else math.pi / 2 - 0.01)
-    return LeastForce(RIG, horizon=horizon, angle_limits=limits)
+    return LeastForce(RIG, horizon=horizon * RIG.sample_time, angle_limits=limits)
 
 
 def optimal(x0: Array, task: dpend.Balance, guesses: int = 0) -> tuple[float, bool]:

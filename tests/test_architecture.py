@@ -134,7 +134,7 @@ def inside(name: str) -> set[str]:
     [
         ("archive", set()),
         ("episode", {"status"}),
-        ("kernels", {"episode", "equations", "params", "provenance", "state", "status"}),
+        ("kernels", {"cache", "episode", "equations", "params", "provenance", "state", "status"}),
         ("symbolic", {"equations", "params", "rig"}),
         ("plant", {"arguments", "equations", "params"}),
         ("linear", {"arguments", "params", "plant"}),

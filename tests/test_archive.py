@@ -80,7 +80,7 @@ def test_a_damaged_or_foreign_file_is_refused_by_name_with_the_remedy(
 ) -> None:
     path = archive.write(tmp_path / "good.npz", KIND, HEADER, ARRAYS)
     damage(path)
-    message = f"{path} cannot be read as {KIND!r}: {reason}. Save it anew, or copy it again."
+    message = f"{path} cannot be read as {KIND!r}: {reason}. Save it again, or copy it afresh."
     with pytest.raises(ValueError, match=whole(message)):
         archive.read(path, KIND)
 
@@ -103,7 +103,7 @@ def test_every_byte_of_an_archive_counts(tmp_path: Path) -> None:
 
 def test_what_goes_wrong_over_the_content_is_the_files_fault_and_a_missing_file_is_not(tmp_path: Path) -> None:
     path = archive.write(tmp_path / "good.npz", KIND, HEADER, ARRAYS)
-    message = f"{path} cannot be read as {KIND!r}: x must grow. Save it anew, or copy it again."
+    message = f"{path} cannot be read as {KIND!r}: x must grow. Save it again, or copy it afresh."
     with pytest.raises(ValueError, match=whole(message)), archive.opened(path, KIND):
         raise ValueError("x must grow.")
     with pytest.raises(FileNotFoundError):
@@ -137,7 +137,7 @@ def test_a_policy_of_the_first_version_is_held_to_its_checksum(tmp_path: Path) -
     parts = entries(ROOT / "rl" / "trained" / "lspi.npz")
     path = tmp_path / "lspi.npz"
     np.savez(path, **parts | {"K": parts["K"] + 1})
-    message = f"{path} cannot be read as 'dpend policy 2': {ALTERED}. Save it anew, or copy it again."
+    message = f"{path} cannot be read as 'dpend policy 2': {ALTERED}. Save it again, or copy it afresh."
     with pytest.raises(ValueError, match=whole(message)):
         archive.read(path, "dpend policy 2")
 

@@ -35,7 +35,7 @@ from controllers import (
 from dpend import Controller, Rig
 from dpend.controller import check_controller, is_batched
 from dpend.params import Array
-from rl import GainPolicy, LinearQPolicy, MLPPolicy, Network
+from rl import GainPolicy, LinearQPolicy, MLPPolicy, Network, TableOneMean
 
 
 def random_network() -> Network:
@@ -53,6 +53,7 @@ RECIPES: dict[str, Callable[[Rig], Any]] = {
     "LowPass": lambda rig: LowPass(rig, LQR(rig), frequency=20.0),
     "RateLimit": lambda rig: RateLimit(rig, LQR(rig), 500.0),
     "LinearQPolicy": lambda rig: LinearQPolicy(np.linspace(-1, 1, 18), np.ones(18), (0.0, -4.0, 4.0)),
+    "TableOneMean": lambda rig: TableOneMean(np.linspace(-1, 1, 20), "cells"),
     "MLPPolicy": lambda rig: MLPPolicy(
         random_network(), scales=np.ones(4), force_limit=min(float(np.max(rig.force_limit)), 50.0), period=0.03
     ),
@@ -218,7 +219,7 @@ def assert_same_forces(found: Array, expected: Array) -> None:
     assert_allclose(found, expected, rtol=0, atol=1e-6 * max(1.0, np.abs(expected).max()))
 
 
-OWN = [pair for pair in PAIRS if pair.values[0][0] in controllers.__all__ and pair.values[0][0] != "NMPC"]  # type: ignore[index,operator]
+OWN = [pair for pair in PAIRS if pair.values[0][0] in controllers.__all__]  # type: ignore[index,operator]
 
 
 @pytest.mark.parametrize("pair", OWN, indirect=True)

@@ -688,6 +688,77 @@ def test_the_command_line_states_a_recipe(monkeypatch):
     assert followed[2].to_dict() == DeepRecipe(algo="ddpg", episode=3.0, **own).to_dict()
 
 
+class Scripted:
+    """A learner whose networks push by what it is scripted to, round by round, and which keeps itself as its steps."""
+
+    def __init__(self, recipe, seed):
+        self.recipe, self.steps = recipe, 0
+
+    def learn(self, steps):
+        self.steps += -(-steps // self.recipe.round) * self.recipe.round
+
+    def network(self):
+        return Network([np.zeros((1, 8))], [[0.001 * self.steps / self.recipe.round]])
+
+    def save(self, path, beside):
+        path.write_text(json.dumps({"steps": self.steps, "beside": beside}, default=lambda array: array.tolist()))
+
+    def restore(self, path):
+        kept = json.loads(path.read_text())
+        self.steps = kept["steps"]
+        return kept["beside"]
+
+
+@pytest.mark.parametrize("stop_after", [1, 2, 4])
+def test_the_best_policy_is_kept_and_a_training_that_was_stopped_ends_as_one_that_was_not(
+    stop_after, tmp_path, monkeypatch
+):
+    scores = {1: 0.2, 2: 0.7, 3: 0.7, 4: 0.1}
+    monkeypatch.setattr("rl.deep.learner_class", lambda recipe: Scripted)
+    monkeypatch.setattr("rl.deep._versions", lambda recipe: {})
+    monkeypatch.setattr("rl.deep.evaluate", lambda policy, *_: (scores[round(1000 * policy.network.biases[0][0])], 0.5))
+    recipe = small(steps=4096)
+    whole_one = train_deep(recipe, 0)
+
+    class Stopped(Exception):
+        pass
+
+    def stop(seen):
+        if seen.steps == 1024 * stop_after:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        train_deep(recipe, 0, out=tmp_path, progress=stop)
+    goes_on = train_deep(recipe, 0, out=tmp_path)
+    for training in (whole_one, goes_on, read_training(tmp_path)):
+        assert list(training.curve["score"]) == list(scores.values())
+        assert training.details["best"] == 2  # the latest among equals
+        assert training.policy.network.biases[0][0] == pytest.approx(0.003)
+        assert training.policy.about["evaluation"]["steps"] == 3072
+        assert training.cost.steps == 4096 * recipe.samples
+        assert training.cost.test_steps == 4 * 4 * 500
+    for training in (whole_one, goes_on):
+        ways = training.snapshots(10)
+        assert [snapshot.experience for snapshot in ways] == pytest.approx(
+            list(recipe.period * training.curve["steps"])
+        )
+        laws: list[Any] = [snapshot.policy for snapshot in ways]
+        assert [law.network.biases[0][0] for law in laws] == pytest.approx([0.001, 0.002, 0.003, 0.004])
+
+
+def test_a_deep_learner_takes_whole_rounds_within_its_time(monkeypatch):
+    monkeypatch.setattr("rl.deep.learner_class", lambda recipe: Scripted)
+    monkeypatch.setattr("rl.deep._versions", lambda recipe: {})
+    monkeypatch.setattr("rl.deep.evaluate", lambda *_: (0.5, 0.5))
+    settings: dict[str, Any] = SMALL | {"steps": 4096}
+    learner, shares = DeepLearner(RIG, **settings), []
+    training = learner.train([3, 1], seconds=3500 * learner.period, progress=shares.append)
+    assert list(training.curve["steps"]) == [1024, 2048, 3072]
+    assert training.cost.steps * RIG.sample_time <= 3500 * learner.period
+    assert shares == pytest.approx([1 / 3, 2 / 3, 1.0, 1.0])
+    assert training.outcome is Outcome.BUDGET_SPENT
+
+
 @needs_torch
 def test_a_deep_learner_is_a_learner_like_others():
     learner = DeepLearner(RIG, **SMALL)

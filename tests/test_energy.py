@@ -26,9 +26,9 @@ def plants(n: int) -> list[Rig]:
     return [endless(params=random_params(np.random.default_rng(seed), friction=False)) for seed in range(n)]
 
 
-def hanging(n: int, spread: float = 0.1) -> Array:
+def hanging(n: int, width: float = 0.1) -> Array:
     x = np.tile(dpend.EQUILIBRIA["down-down"], (n, 1))
-    x[:, 1:3] += np.random.default_rng(1).uniform(-spread, spread, (n, 2))
+    x[:, 1:3] += np.random.default_rng(1).uniform(-width, width, (n, 2))
     return x
 
 

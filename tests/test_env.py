@@ -426,7 +426,7 @@ def _stepped(env: CartDoublePendulumEnv, action: Any) -> None:
         (
             lambda: balance(lam=0),
             ValueError,
-            "lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; got 0.",
+            "lambda is the greatest starting angle in rad: expected 0 < lambda <= pi/2; got 0.",
         ),
         (
             lambda: balance("gustafson2016"),
@@ -448,7 +448,7 @@ def _stepped(env: CartDoublePendulumEnv, action: Any) -> None:
             lambda: balance("bogdanov2004"),
             ValueError,
             "A continuous action is a share of the force limit: expected a finite one; got inf. Set it with "
-            "rig.replace(force_limit=...), in N, or give forces=[...] to choose from.",
+            "rig.replace(force_limit=...), in N, or pass forces=[...] to choose from.",
         ),
         (
             lambda: balance(forces=[-50.0, 50.0]),

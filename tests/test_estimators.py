@@ -157,9 +157,9 @@ def test_what_is_lost_begins_again(kind: type[EKF] | type[UKF]) -> None:
     for _ in range(5):
         assert np.isfinite(follow(y, np.zeros(2))).all()
     y[0, 0] = 0.0
-    told = [follow(y, np.zeros(2)) for _ in range(50)][-1]
-    assert_allclose(told[1], 0.0, atol=1e-9)
-    assert_allclose(told[0, :3], 0.0, atol=1e-3)
+    estimate = [follow(y, np.zeros(2)) for _ in range(50)][-1]
+    assert_allclose(estimate[1], 0.0, atol=1e-9)
+    assert_allclose(estimate[0, :3], 0.0, atol=1e-3)
 
 
 # ----------------------------------------------------------------------------------- absolute encoders, missing samples
@@ -285,7 +285,7 @@ def test_a_wrong_model_leaves_it_sane(kind: type[EKF] | type[UKF]) -> None:
 
 
 def test_a_controllers_log_is_passed_on() -> None:
-    class Telling:
+    class Logging:
         def start(self, n: int, rng: np.random.Generator) -> Any:
             def act(t: float, y: Array) -> Array:
                 act.log["seen"].append(y[:, 0].copy())  # type: ignore[attr-defined]
@@ -294,7 +294,7 @@ def test_a_controllers_log_is_passed_on() -> None:
             act.log = {"seen": []}  # type: ignore[attr-defined]
             return act
 
-    run = dpend.simulate(RIG, WithEstimator(EKF(RIG), Telling()), [0.5, 0.1, 0, 0, 0, 0], 0.1)
+    run = dpend.simulate(RIG, WithEstimator(EKF(RIG), Logging()), [0.5, 0.1, 0, 0, 0, 0], 0.1)
     assert run.log["seen"][0] == 0.5
 
 

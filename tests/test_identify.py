@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 import warnings
 from dataclasses import replace
@@ -233,7 +234,7 @@ def test_what_the_motion_does_not_depend_on_is_refused() -> None:
 
 def test_what_is_drowned_in_noise_is_refused() -> None:
     still = dpend.simulate(TRUE, LQR(TRUE), np.zeros(6), 3.0)
-    with pytest.raises(ValueError, match=r"^The data say next to nothing of .* leave .* out of fit\.$"):
+    with pytest.raises(ValueError, match=r"^The data hold next to no information on .* leave .* out of fit\.$"):
         identify(still, TRUE.replace(cart_mass=1.05), ("cart_mass", "inertia1", "inertia2"))
 
 
@@ -248,6 +249,22 @@ def test_measurements_in_another_unit_are_refused() -> None:
     run = recorded(0)
     with pytest.raises(ValueError, match=r"^(From the states measured the plant runs away|Within a segment an error)"):
         identify(replace(run, y=np.rad2deg(run.y)), START, FIT)
+
+
+@pytest.mark.parametrize("odd", [None, 5, 1.5])
+def test_names_that_are_none_are_refused(odd: Any) -> None:
+    for argument, settings in (("fit", {"fit": odd}), ("outputs", {"fit": MASSES, "outputs": odd})):
+        with pytest.raises(TypeError, match=whole(f"{argument} must be one name, or several; got {odd!r}.")):
+            identify(recorded(0), START, **settings)
+
+
+@pytest.mark.parametrize("odd", ["long", None, math.nan, 0.02])
+def test_a_segment_must_last(odd: Any) -> None:
+    message = (
+        "A segment must hold more than the six numbers of its initial state: expected segment to be several samples of "
+        f"0.02 s; got {odd!r} s."
+    )
+    refused(message, recorded(0), START, MASSES, segment=odd)
 
 
 def test_wrong_use_is_refused() -> None:
@@ -288,22 +305,29 @@ def test_wrong_use_is_refused() -> None:
         identify(3, TRUE, MASSES)  # type: ignore[arg-type]
 
 
+ENCODER_2 = np.array([[1, 0, 0], [0, 1, 0], [0, 2, -1]])  # counts from link 1, the other way
+
+
 @pytest.mark.parametrize(
-    ("turned", "argument"),
-    [("u", "force_unit"), ("pos", "position_unit"), ("th1", "angle_unit"), ("th2", "angle_unit")],
+    ("what", "argument", "turn", "force"),
+    [
+        ("u", "force_unit", np.eye(3), -1),
+        ("th2", "angle_unit", np.diag([1, 1, -1]), 1),
+        ("th2 against th1", "angle_unit", ENCODER_2, 1),
+        pytest.param("pos", "position_unit", np.diag([-1, 1, 1]), 1, marks=pytest.mark.slow),
+        pytest.param("th1", "angle_unit", np.diag([1, -1, 1]), 1, marks=pytest.mark.slow),
+    ],
 )
-def test_a_recording_with_a_wrong_sign_is_told_which(turned: str, argument: str) -> None:
+def test_a_wrong_sign_of_a_recording_is_named(what: str, argument: str, turn: Any, force: int) -> None:
     run = recorded(0, 3.0)
-    sign = np.array([-1.0 if name == turned else 1.0 for name in 2 * ("pos", "th1", "th2")])
-    wrong = replace(run, y=run.y * sign, x=run.x * sign, u=-run.u if turned == "u" else run.u)
-    hint = (
-        f"the sign of {turned} turned round the model fits far better; look at the sign of {argument} in Run.from_csv."
-    )
+    state = np.kron(np.eye(2), turn)
+    wrong = replace(run, y=run.y @ state.T, x=run.x @ state.T, u=force * run.u)
+    hint = f"the sign of {what} turned round the model fits far better; look at the sign of {argument} in Run.from_csv."
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         try:
             identify(wrong, START, FIT)
-        except ValueError as refusal:  # where the data seem to tell nothing at all
+        except ValueError as refusal:
             warnings.warn(str(refusal), stacklevel=1)
     assert any(hint in str(each.message) for each in said)
 

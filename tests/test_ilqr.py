@@ -116,7 +116,8 @@ def test_walls_have_the_slope_and_the_curvature_of_their_cost(place: tuple[float
     walls = mpc.problem_at(x)
     none = walls._replace(track_weight=0.0, hard_weight=0.0, angle_weight=0.0)
     direction = np.array([1.0, -0.7, 0.4, 0.2, 0.1, -0.3])
-    found = np.subtract(*(quadratic_model(mpc, k, x, problem, direction) for problem in (walls, none)))
+    with_them, without_them = (quadratic_model(mpc, k, x, problem, direction) for problem in (walls, none))
+    found = np.subtract(with_them, without_them)
 
     def cost(way: float) -> float:
         states = np.zeros((3, 6))
@@ -165,17 +166,15 @@ def test_damping_shortens_a_step_and_its_feedback_in_proportion() -> None:
 
 
 def test_damping_grows_while_plans_get_no_better_and_soon_vanishes_when_they_do() -> None:
-    damping = [0.0]
-    while damping[-1] <= 1e6:
-        damping.append(ilqr_kernels.next_damping(damping[-1], False))
-    assert (np.diff(damping) > 0).all()
-    assert len(damping) == 11  # none, then from 1e-2 tenfold to beyond 1e6
-    falling = [1.0]
-    while falling[-1]:
+    rising, falling = [0.0], [1.0]
+    for _ in range(10):
+        rising.append(ilqr_kernels.next_damping(rising[-1], False))
+    for _ in range(6):
         falling.append(ilqr_kernels.next_damping(falling[-1], True))
+    assert (np.diff(rising) > 0).all()
+    assert rising[-2] < 1e6 * (1 + 1e-9) < rising[-1]  # where improvement ends
     assert (np.diff(falling) < 0).all()
-    assert len(falling) == 7
-    assert ilqr_kernels.next_damping(0.0, True) == 0.0
+    assert falling[-1] == ilqr_kernels.next_damping(0.0, True) == 0.0
 
 
 def test_where_a_full_step_is_too_long_a_damped_one_is_taken_in_its_place() -> None:
@@ -321,16 +320,15 @@ def test_random_starts_come_in_mirrored_pairs() -> None:
     assert_allclose(plans[0].u, -plans[1].u, rtol=0, atol=1e-6)
 
 
-def test_what_a_shift_appends_to_a_plan_is_the_saturated_regulators() -> None:
+@pytest.mark.parametrize("lean", [0.05, 0.9], ids=["small", "saturated"])
+def test_what_a_shift_appends_to_a_plan_is_the_saturated_regulators(lean: float) -> None:
     law = begin(ILQRMPC(RIG, horizon=0.2, iterations=0))
-    for x in (np.array([0.0, 0.05, -0.05, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.9, 0.0, 0.0, 0.0])):
-        law._plan = None
-        drive(law, x)
-        before = law._plan
-        drive(law, before.x[1])
-        end = before.x[-1] - inside.nearest_target(tuple(before.x[-1]), law._planner.problem)
-        assert_allclose(law._plan.u[:-1], before.u[1:], rtol=1e-9)
-        assert_allclose(law._plan.u[-1], np.clip(-law._planner.lqr.K[0] @ end, -40, 40), rtol=1e-9)
+    drive(law, np.array([0.0, lean, lean, 0.0, 0.0, 0.0]))
+    before = law._plan
+    drive(law, before.x[1])
+    end = before.x[-1] - inside.nearest_target(tuple(before.x[-1]), law._planner.problem)
+    assert_allclose(law._plan.u[:-1], before.u[1:], rtol=1e-9)
+    assert_allclose(law._plan.u[-1], np.clip(-law._planner.lqr.K[0] @ end, -40, 40), rtol=1e-9)
 
 
 def test_beyond_its_first_plan_a_plan_that_is_only_shifted_is_the_regulator() -> None:

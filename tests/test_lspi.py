@@ -166,6 +166,36 @@ def test_one_step_q_learning_does_what_its_equation_says():
     assert_allclose(learner.train(4).details["gains"], gains, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize("kind", [LSPI, QuadraticQLearning])
+def test_while_it_practises_an_episode_ends_at_the_end_of_the_track(kind):
+    settings: dict = {"lam": 1e-9, "angle_cut": np.pi / 2, "episode_steps": 1000, "samples": 3000, "noise": 15.0}
+    if kind is LSPI:
+        settings |= {"iterations": 1}  # without a gain, so that the cart drifts
+    else:
+        settings |= {"alpha": 1e-12}
+
+    def lengths(track_limit):
+        return list(kind(RIG.replace(track_limit=track_limit), **settings).train(0).curve["length"])
+
+    def expected(track_limit):
+        """Episodes of the same forces on the stepper, which go on until the cart is at the end or a link falls."""
+        rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(2003,)))
+        stepper, fresh, ended = dpend.Stepper(RIG, 1), True, []
+        for _ in range(3000):
+            if fresh:
+                th1, th2 = (1e-9 * rng.uniform(-1, 1) for _ in range(2))
+                x = stepper.reset([0, th1, th2, 0, 0, 0])[0]
+                ended.append(0)
+            x = stepper.step([np.clip(15.0 * rng.standard_normal(), -40, 40)])[0]
+            ended[-1] += 1
+            fresh = bool(abs(x[0]) > track_limit or np.abs(x[1:3]).max() > np.pi / 2)
+        return ended if fresh else ended[:-1]
+
+    for limit in (0.02, 0.1, np.inf):
+        assert lengths(limit) == expected(limit)
+    assert lengths(0.02) != lengths(0.1) != lengths(np.inf)
+
+
 def test_a_learned_gain_comes_back_from_its_file_with_its_origin(tmp_path):
     policy = LSPI(RIG, iterations=3).train(5).policy
     back = load_policy(policy.save(tmp_path / "gain"))

@@ -1,6 +1,11 @@
 from __future__ import annotations
 
+import os
 import pickle
+import signal
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import casadi
@@ -115,8 +120,8 @@ def test_compiled_and_interpreted_solvers_agree(tmp_path: Any, monkeypatch: pyte
         assert found[0].backend == "IPOPT, compiled C"
         assert [path.suffix for path in (tmp_path / "c").iterdir()] == [".so"]
     assert found[1].backend == "IPOPT, CasADi's virtual machine"
-    answers = [made.solve(x0=[0.1, 0.2], lbg=-10, ubg=10)["x"].full() for made in found]
-    np.testing.assert_allclose(answers, np.ones((2, 2, 1)), atol=1e-6)
+    answers = [solve(x0=[0.1, 0.2], lbg=-10, ubg=10).x for solve in found]
+    np.testing.assert_allclose(answers, np.ones((2, 2)), atol=1e-6)
 
 
 def test_a_compiler_that_fails_is_no_error_and_is_named(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -128,6 +133,52 @@ def test_a_compiler_that_fails_is_no_error_and_is_named(tmp_path: Any, monkeypat
     found = codegen.nlp_solver(rosenbrock(), ipopt=QUIET)
     assert found.backend == "IPOPT, CasADi's virtual machine (broken failed)"
     assert found.plugin == "ipopt"
+
+
+class Endless:
+    """A solver that does not come back before it is let go."""
+
+    def __init__(self) -> None:
+        self.held = threading.Event()
+
+    def call(self, arguments: Any) -> Any:
+        self.held.wait()
+        raise RuntimeError("let go")
+
+
+def test_a_solve_that_does_not_come_back_is_abandoned_and_the_next_one_begins_afresh() -> None:
+    made: list[Endless] = []
+
+    def make(stop: Any) -> Endless:
+        made.append(Endless())
+        return made[-1]
+
+    solve = codegen.NLPSolver(make, {"x": 2, "g": 1, "p": 0}, "fatrop", "a test")
+    for _ in range(2):
+        found = solve(patience=0.05)
+        assert (found.success, found.status) == (False, "abandoned after 0.05 s")
+        assert np.isnan(found.x).all()
+    assert len(made) == 2
+    for each in made:
+        each.held.set()
+
+
+def test_ctrl_c_ends_a_solve_within_a_second(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    x = casadi.MX.sym("x", 600)
+    slow = casadi.sum1((1 - x[:-1]) ** 2 + 100 * (x[1:] - x[:-1] ** 2) ** 2)
+    quiet = {**QUIET, "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 1_000_000, "tol": 1e-300}}
+    solve = codegen.nlp_solver({"x": x, "f": slow, "g": x[0]}, solver="ipopt", ipopt=quiet, compiled=False)
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever was inherited
+    began = time.perf_counter()
+    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    try:
+        timer.start()
+        with pytest.raises(KeyboardInterrupt):
+            [solve(x0=-1.0, lbg=-10, ubg=10) for _ in range(1000)]
+    finally:
+        timer.join()
+        signal.signal(signal.SIGINT, handler)
+    assert time.perf_counter() - began < 1.5
 
 
 def test_a_solver_that_does_not_exist_is_refused() -> None:
@@ -157,11 +208,11 @@ def test_close_to_the_target_it_is_the_regulator(rate_weight: float) -> None:
 
 def test_a_cost_on_changes_of_force_lowers_their_variation_under_sensor_noise() -> None:
     rig, start = RIG.replace(sensor_noise=0.002), [0.0, 0.02, 0.01, 0.0, 0.0, 0.0]
-    free, dear = (
+    free, costly = (
         dpend.simulate(rig, NMPC(RIG, rate_weight=weight, **SHORT), start, 1.0).metrics() for weight in (0.0, 1.0)
     )
-    assert dear["success"] == 1.0
-    assert dear["variation"] < 0.5 * free["variation"]
+    assert costly["success"] == 1.0
+    assert costly["variation"] < 0.5 * free["variation"]
 
 
 def test_at_the_target_and_at_each_turn_of_it_there_is_nothing_to_do() -> None:
@@ -180,7 +231,7 @@ def test_limits_hold_in_closed_loop() -> None:
     assert (run.log["status"] != PlanStatus.SHIFTED).all()
 
 
-def test_the_cart_follows_its_set_point_and_looks_ahead() -> None:
+def test_the_cart_follows_its_set_point_and_previews_it() -> None:
     x0 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     with_steps = NMPC(RIG, setpoint=lambda t: 0.5 if t >= 1.0 else 0.0, horizon=1.0)
     run = dpend.simulate(RIG, with_steps, x0, 3.0, task=None)
@@ -195,22 +246,100 @@ def test_a_failed_solver_is_counted_and_the_plan_goes_on() -> None:
     assert act.log["status"] == [PlanStatus.SOLVED] * 3
     act = law(NMPC(RIG, **SHORT))
     first = act(0.0, x[None])[0]
-    outside = np.array([[3.5, 0.1, -0.1, 0.0, 0.0, 0.0]])  # no force brings the cart back within one sample
+    unstoppable = np.array([[2.3, 0.1, -0.1, 59.0, 0.0, 0.0]])  # no force slows the cart down within the horizon
     plan = act._plan
-    u = act(0.02, outside)[0]
+    u = act(0.02, unstoppable)[0]
     assert first == good[0]
     assert act.log["status"] == [PlanStatus.SOLVED, PlanStatus.SHIFTED]
     assert u == plan[1][1, 0]
 
 
-def test_one_iteration_a_step_never_gives_more_than_a_number_and_is_told_apart() -> None:
+@pytest.mark.parametrize("changes", [{}, {"force_limit": np.inf, "track_limit": np.inf}])
+def test_whatever_is_measured_each_step_returns_a_finite_force_and_a_status(changes: dict[str, float]) -> None:
+    act = law(NMPC(RIG.replace(**changes), **SHORT))
+    rng = np.random.default_rng(5)
+    largest = [1.0, 30.0, 1e3, 1e12, 1e300]
+    for k in range(10):
+        y = rng.standard_normal((1, 6)) * largest[k % 5]
+        y[0, rng.integers(6)] *= rng.choice([1.0, np.inf])
+        assert np.isfinite(act(0.02 * k, y)).all()
+    assert len(act.log["status"]) == 10
+    assert PlanStatus.ABANDONED not in act.log["status"]
+
+
+def test_a_guess_whose_end_diverges_is_cut_before_the_solver_sees_it() -> None:
+    act = law(NMPC(RIG))
+    act(0.0, np.array([[0.0, 3.1, 3.2, 0.0, 0.0, 0.0]]))
+    xs, us = act._plan
+    xs[-1] = [0.7, 17.0, 33.0, -42.0, 160.0, -130.0]  # spins so fast that a Runge-Kutta step is off by ten powers
+    moved = act._moved_on(0.0, (xs, us))[0][-1]
+    assert (np.abs(moved) <= act._bounds).all()
+    assert np.isfinite(act(0.02, xs[None, 1])).all()
+    assert act.log["status"][-1] != PlanStatus.ABANDONED
+
+
+def test_a_run_does_not_depend_on_what_was_measured_before_it() -> None:
+    x = np.array([0.1, 0.1, -0.05, 0.0, 0.0, 0.0])
+    controller = NMPC(RIG, **SHORT)
+    before, _ = forces(controller, x, 5)
+    odd = law(controller)
+    for y in 30 * np.random.default_rng(5).standard_normal((5, 1, 6)):
+        odd(0.0, y)
+    np.testing.assert_array_equal(forces(controller, x, 5)[0], before)
+
+
+def test_threads_get_what_a_sequence_gets() -> None:
+    jobs = [(NMPC(RIG, **SHORT), [0.1 * i, 0.1 * i, -0.05, 0.0, 0.0, 0.0]) for i in range(3)]
+    jobs.append((jobs[0][0], [0.0, -0.1, 0.1, 0.0, 0.0, 0.0]))  # and one object in two threads
+
+    def run(job: tuple[NMPC, list[float]]) -> Array:
+        return dpend.simulate(RIG, *job, 0.4).u
+
+    alone = [run(job) for job in jobs]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(run, jobs))
+    np.testing.assert_array_equal(together, alone)
+
+
+def test_angles_that_differ_by_whole_turns_at_any_sample_give_the_same_forces() -> None:
+    rng = np.random.default_rng(0)
+    plain, turned = law(NMPC(RIG, **SHORT)), law(NMPC(RIG, **SHORT))
+    stepper = dpend.Stepper(RIG, 1)
+    y = stepper.reset([0.0, 2.9, 3.3, 0.0, 4.0, -4.0])
+    for k in range(12):
+        jump = np.zeros((1, 6))
+        jump[0, 1:3] = 2 * np.pi * rng.integers(-2, 3, 2)
+        u = plain(0.02 * k, y)
+        assert turned(0.02 * k, y + jump) == pytest.approx(u, abs=1e-6)
+        y = stepper.step(u)
+
+
+def test_beyond_the_margin_it_saves_what_the_regulator_saves() -> None:
+    rng = np.random.default_rng(1)
+    x0 = np.zeros((4, 6))
+    x0[:, 0] = -rng.uniform(2.381, 2.398, 4)
+    x0[:, 1:3] = rng.uniform(0.0, 0.12, (4, 2))
+    saved = dpend.simulate_many(RIG, LQR(RIG), x0, 2.0).success
+    runs = dpend.simulate_many(RIG, NMPC(RIG, horizon=1.0), x0, 2.0)
+    assert saved.sum() >= 2
+    assert (runs.success >= saved).all()
+
+
+def test_upright_beyond_the_margin_it_does_not_sit_still() -> None:
+    act = law(NMPC(RIG, **SHORT))
+    u = act(0.0, np.array([[-2.392, 0.0, 0.0, 0.0, 0.0, 0.0]]))
+    assert abs(u[0]) > 0.1
+    assert act.log["status"] == [PlanStatus.SOLVED]
+
+
+def test_one_iteration_a_step_gives_a_finite_force_and_its_status_says_so() -> None:
     u, act = forces(NMPC(RIG, max_iterations=1, **SHORT), np.array([0.0, 0.4, -0.3, 0.0, 0.0, 0.0]), 6)
     assert np.isfinite(u).all()
     assert max(act.log["iterations"][1:]) <= 2
     assert set(act.log["status"][1:]) & {PlanStatus.ACCEPTED, PlanStatus.SHIFTED}
 
 
-def test_runs_keep_what_the_law_tells_of_its_steps() -> None:
+def test_runs_keep_what_the_law_logs_of_its_steps() -> None:
     run = dpend.simulate(RIG, NMPC(RIG, **SHORT), [0.0, 0.05, 0.0, 0.0, 0.0, 0.0], 0.1)
     assert set(run.log) == {"status", "iterations", "solve_time"}
     assert all(values.shape == (5,) for values in run.log.values())
@@ -303,12 +432,12 @@ def test_a_solver_that_fails_again_and_again_begins_elsewhere_before_the_plan_is
     for status in run.log["status"]:
         in_a_row = in_a_row + 1 if status == PlanStatus.SHIFTED else 0
         longest = max(longest, in_a_row)
-    assert 5 <= longest < controller.samples
+    assert 5 <= longest < controller.horizon_steps
     assert run.success
     assert np.abs(run.x[:, 0]).max() < 2.4 - 0.02 + 1e-3
 
 
-def test_what_is_no_number_is_taken_as_planned_and_the_force_stays_one() -> None:
+def test_a_measurement_of_nan_is_taken_as_planned_and_the_force_stays_finite() -> None:
     x = np.array([0.0, 0.1, -0.1, 0.0, 0.0, 0.0])
     broken = np.array([0.0, np.nan, 0.1, 0.0, 0.0, 0.0])
     act = NMPC(RIG, **SHORT).start(1, np.random.default_rng(0))
@@ -316,20 +445,28 @@ def test_what_is_no_number_is_taken_as_planned_and_the_force_stays_one() -> None
     assert np.isfinite(answers).all()
 
 
+@pytest.mark.skipif(codegen.find_compiler() is None, reason="no C compiler")
+def test_a_library_that_is_cut_short_is_compiled_anew(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DPEND_CACHE", str(tmp_path))
+    codegen.nlp_solver(rosenbrock(), solver="ipopt", ipopt=QUIET)
+    (library,) = tmp_path.rglob("*.so")
+    content = library.read_bytes()
+    library.unlink()  # what is loaded stays as it is
+    library.write_bytes(content[: len(content) // 2])
+    found = codegen.nlp_solver(rosenbrock(), solver="ipopt", ipopt=QUIET)
+    assert found.backend == "IPOPT, compiled C"
+    assert [path.read_bytes() for path in tmp_path.rglob("*.so")] == [content]
+
+
 def test_a_library_that_cannot_be_loaded_is_thrown_away_and_done_without(
     tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("DPEND_CACHE", str(tmp_path))
-    if not codegen.find_compiler():
-        pytest.skip("no C compiler is found")
-    codegen.nlp_solver(rosenbrock(), solver="ipopt", ipopt=QUIET)
-    (library,) = tmp_path.rglob("*.so")
-    library.unlink()  # what is loaded already stays loaded under its name
-    broken = library.with_name("0" * 32 + ".so")
+    broken = tmp_path / "broken.so"
     broken.write_bytes(b"no library")
     monkeypatch.setattr(codegen, "_compiled", lambda *_: broken)
+    monkeypatch.setattr(codegen, "find_compiler", lambda: "/usr/bin/cc")
     found = codegen.nlp_solver(rosenbrock(), solver="ipopt", ipopt=QUIET)
-    assert found.backend.startswith("IPOPT, CasADi's virtual machine")
+    assert found.backend == "IPOPT, CasADi's virtual machine (cc failed)"
     assert not broken.exists()
 
 
@@ -339,4 +476,6 @@ def test_code_is_not_kept_where_others_may_write(tmp_path: Any, monkeypatch: pyt
     (tmp_path / "c").chmod(0o777)
     found = codegen.nlp_solver(rosenbrock(), solver="ipopt", ipopt=QUIET)
     assert found.backend.startswith("IPOPT, CasADi's virtual machine")
+    if codegen.find_compiler():
+        assert f"Compiled code is not kept in {tmp_path / 'c'}: others than you may write to it" in found.backend
     assert not list(tmp_path.rglob("*.so"))

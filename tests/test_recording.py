@@ -24,7 +24,7 @@ NAMES = ("pos", "th1", "th2", "vel", "om1", "om2")
 
 
 def table(run: Run = RUN, names: tuple[str, ...] = NAMES) -> dict[str, Array]:
-    """Return the columns of a run; nobody knows the force after its last sample."""
+    """Return the columns of a run; the force after its last sample is unknown."""
     states = {name: run.y[:, NAMES.index(name)] for name in names}
     return {"t": run.t} | states | {"u": np.append(run.u, 0.0)}
 
@@ -49,8 +49,8 @@ def test_a_written_run_is_read_back(tmp_path: Path) -> None:
     assert Run.from_csv(tmp_path / "run.csv", "gustafsson2016").rig == RIG
 
 
-@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
-def test_cells_are_separated_by_commas_semicolons_or_tabs(tmp_path: Path, delimiter: str) -> None:
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "|", " "])
+def test_the_separator_of_cells_is_found_out(tmp_path: Path, delimiter: str) -> None:
     assert_array_equal(Run.from_csv(written(tmp_path / "run.csv", table(), delimiter), RIG).x, RUN.y)
 
 
@@ -245,6 +245,7 @@ def test_numbers_that_look_like_another_unit_are_refused_unless_they_are_vouched
             {"position_unit": 0.0},
             "position_unit must be a finite number other than 0, in SI units per unit; got 0.0.",
         ),
+        ({"tolerance": None}, "tolerance must be a share of the sample time, at least 0; got None."),
         ({"zero": "left"}, 'zero must be "up" or "down", where the angles are counted from; got \'left\'.'),
     ],
 )
@@ -268,7 +269,7 @@ def test_an_empty_or_short_file_is_refused(tmp_path: Path) -> None:
 # ---------------------------------------------------------------------------------------- what other programs write
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "cp1253"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "cp1253"])
 def test_the_encoding_is_found_out(tmp_path: Path, encoding: str) -> None:
     headings: dict[str, str | None] = {"th1": "\N{GREEK SMALL LETTER THETA}1", "th2": "\N{GREEK SMALL LETTER THETA}2"}
     columns = {headings.get(name) or name: values for name, values in table().items()}
@@ -318,6 +319,28 @@ def test_headings_in_quotes_after_a_blank_are_read(tmp_path: Path) -> None:
     file = written(tmp_path / "run.csv", table())
     header, _, body = file.read_text().partition("\n")
     file.write_text(", ".join(f'"{name}"' for name in header.split(",")) + "\n" + body.replace(",", ", "))
+    assert_array_equal(Run.from_csv(file, RIG).x, RUN.y)
+
+
+@pytest.mark.parametrize("before", ["sep=;\n", "# ", "\n\n"])
+def test_what_programs_write_before_the_names_is_passed_over(tmp_path: Path, before: str) -> None:
+    file = written(tmp_path / "run.csv", table(), ";")
+    file.write_text(before + file.read_text())
+    assert_array_equal(Run.from_csv(file, RIG).x, RUN.y)
+
+
+def test_a_file_that_is_no_table_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "picture.csv"
+    file.write_bytes(b"t,pos\n" + b"x" * 200_000)
+    message = f"{file} is no table of comma-separated values or the like: field larger than field limit (131072)."
+    with pytest.raises(ValueError, match=whole(message)):
+        Run.from_csv(file, RIG)
+
+
+@pytest.mark.parametrize("ending", ["\r\n", "\r"])
+def test_lines_may_end_as_on_any_system(tmp_path: Path, ending: str) -> None:
+    file = written(tmp_path / "run.csv", table())
+    file.write_bytes(file.read_text().replace("\n", ending).encode())
     assert_array_equal(Run.from_csv(file, RIG).x, RUN.y)
 
 

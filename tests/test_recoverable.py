@@ -85,7 +85,7 @@ def search():
 
 @pytest.mark.slow
 def test_the_least_force_of_a_small_start_is_what_the_linear_set_says():
-    search = LeastForce(endless(track_limit=1e3), horizon=250)
+    search = LeastForce(endless(track_limit=1e3), horizon=5.0)
     for start in (at_rest(0.02, -0.01), at_rest(0.01, 0.02), at_rest(0.0, 0.02)):
         assert search(start).about["force"] == pytest.approx(40.0 * SET.share(start)[0], rel=0.02)
 
@@ -127,7 +127,10 @@ def test_what_cannot_be_is_refused(search):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"horizon": 1}, "horizon must be a whole number of samples, at least 2; got 1."),
+        (
+            {"horizon": 0.02},
+            "horizon must be a number of seconds, at least two samples of 0.02 s; got 0.02.",
+        ),
         ({"angle_limits": (1.0, 0.0)}, "angle_limits must be two angles, greater than 0 rad; got (1.0, 0.0)."),
         ({"track_margin": 3.0}, "track_margin must be at least 0 m and less than the track's 2.4 m; got 3.0."),
     ],

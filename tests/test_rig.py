@@ -468,7 +468,7 @@ def test_an_unknown_keyword_of_replace_is_answered_with_the_nearest(wrong: str, 
 def test_the_spread_of_the_starts_must_be_positive_and_above_the_horizontal(lam: float) -> None:
     refused(
         ValueError,
-        f"lambda is the spread of the starting angles in rad: expected 0 < lambda <= pi/2; got {lam!r}.",
+        f"lambda is the greatest starting angle in rad: expected 0 < lambda <= pi/2; got {lam!r}.",
         lambda: Balance(lam=lam),
     )
 
@@ -531,7 +531,7 @@ class Column:
         ),
         (
             ValueError,
-            "Without a task a run has no natural end: give a duration in s.",
+            "Without a task a run has no natural end: pass a duration in s.",
             lambda: simulate(RIG, Zero(), UPRIGHT, task=None),
         ),
         (
@@ -546,13 +546,13 @@ class Column:
         ),
         (
             TypeError,
-            "A controller has a method start(n, rng) that returns act(t, y); function has none.",
-            lambda: simulate(RIG, lambda t, y: y[:, 0], UPRIGHT, 1.0),  # pyright: ignore[reportArgumentType]
+            "A controller has a method start(n, rng) that returns act(t, y); int has none.",
+            lambda: simulate(RIG, 3, UPRIGHT, 1.0),  # pyright: ignore[reportArgumentType]
         ),
         (
             ValueError,
-            "Expected one force per row, shape (2,); got shape (2, 1). "
-            "A law written as y @ K.T gives a column: take [:, 0].",
+            "Column failed at t = 0 s in rows 0 to 1: Expected one force per row, shape (2,); got shape (2, 1). A law "
+            "written as y @ K.T returns a column: take [:, 0]. The runs up to there are kept in the error's `runs`.",
             lambda: simulate_many(RIG, Column(), np.zeros((2, 6)), 1.0),
         ),
         (

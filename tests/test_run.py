@@ -38,11 +38,9 @@ class Feedback:
         return lambda t, y: -(self.gain * y).sum(axis=1)
 
 
-class BrokenAfter:
-    """A law that has no number to give after a while."""
-
-    def start(self, n: int, rng: np.random.Generator) -> dpend.Act:
-        return lambda t, y: np.full(n, np.nan if t > 0.05 else 1.0)
+def broken_after(t: float) -> tuple[float, float, float]:
+    """Push with no number after a while."""
+    return (np.nan if t > 0.05 else 1.0), 0.0, 0.0
 
 
 def one_rig_a_row(n: int) -> dpend.Rig:
@@ -60,8 +58,11 @@ def one_rig_a_row(n: int) -> dpend.Rig:
 
 
 def assert_same(one: Run, other: Run, *, apart_from: tuple[str, ...] = ()) -> None:
-    for name in {field.name for field in fields(Run)} - set(apart_from):
-        mine, theirs = getattr(one, name), getattr(other, name)
+    assert one.log.keys() == other.log.keys()
+    pairs = {field.name: (getattr(one, field.name), getattr(other, field.name)) for field in fields(Run)}
+    pairs |= {f"log {name}": (one.log[name], other.log[name]) for name in one.log}
+    for name in set(pairs) - {"log", *apart_from}:
+        mine, theirs = pairs[name]
         if isinstance(mine, np.ndarray):
             assert mine.dtype == theirs.dtype, name
             assert np.array_equal(mine, theirs, equal_nan=True), name
@@ -80,7 +81,7 @@ RUNS: dict[str, Callable[[], Run]] = {
     "swung up": lambda: dpend.simulate(RIG, Zero(), np.zeros(6), 2.0, task=dpend.SwingUp(), seed=7),
     "one of a batch": lambda: dpend.simulate_many(one_rig_a_row(12), Feedback(), STARTS, 1.0, record=True)[5],
     "seeded by numpy": lambda: dpend.simulate(RIG, Zero(), STARTS[0], 0.1, seed=np.int64(3)),  # pyright: ignore
-    "not finite": lambda: dpend.simulate(RIG, BrokenAfter(), STARTS[0], 1.0),
+    "not finite": lambda: dpend.simulate(RIG, Zero(), STARTS[0], 1.0, push=broken_after),
 }
 
 
@@ -159,7 +160,7 @@ def with_header(parts: dict[str, Any], **changes: Any) -> bytes:
 
 def refusal(path: Path, kind: str) -> str:
     before = re.escape(f"{path} cannot be read as {kind!r}: ")
-    return f"^{before}[^.].+{re.escape('. Save it anew, or copy it again.')}$"
+    return f"^{before}[^.].+{re.escape('. Save it again, or copy it afresh.')}$"
 
 
 def trapped(sprung: Path) -> Any:
@@ -286,7 +287,7 @@ BATCHES: dict[str, Callable[[], Runs]] = {
     "force noise": lambda: dpend.simulate_many(RIG.replace(force_noise=20.0), Zero(), STARTS, 3.0, record=True),
     "ended at once": lambda: dpend.simulate_many(RIG, Zero(), 4 * STARTS, 1.0, record=True),
     "swing up": lambda: dpend.simulate_many(RIG, Feedback(), 0.1 * STARTS, 5.0, task=dpend.SwingUp(), record=True),
-    "not finite": lambda: dpend.simulate_many(RIG, BrokenAfter(), STARTS, 1.0, record=True),
+    "not finite": lambda: dpend.simulate_many(RIG, Zero(), STARTS, 1.0, record=True, push=broken_after),
 }
 
 
@@ -414,7 +415,7 @@ def test_saved_runs_come_back_exactly(tmp_path, record):
 def test_one_run_is_not_taken_for_many(tmp_path):
     rig = dpend.rig("gustafsson2016")
     file = dpend.simulate(rig, LQR(rig), np.zeros(6), 0.1).save(tmp_path / "one")
-    message = f"{file} cannot be read as 'dpend runs 1': it is 'dpend run 1'. Save it anew, or copy it again."
+    message = f"{file} cannot be read as 'dpend runs 1': it is 'dpend run 1'. Save it again, or copy it afresh."
     with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
         dpend.Runs.load(file)
 

@@ -36,7 +36,7 @@ def test_the_factors_times_the_state_are_the_rates_to_rounding(seed: int) -> Non
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_upright_the_factors_are_the_linearisation(seed: int) -> None:
+def test_upright_the_factors_are_the_linearization(seed: int) -> None:
     params = random_params(np.random.default_rng(seed))
     for factor, exact in zip(factorize(params, np.zeros(6)), linearize(params), strict=True):
         assert_allclose(factor, exact, atol=1e-12 * np.abs(exact).max())
@@ -96,7 +96,7 @@ def test_mirrored_state_mirrored_force() -> None:
     assert_allclose(forces[0], -forces[1], rtol=1e-9)
 
 
-def test_where_there_is_no_gain_the_last_is_kept_and_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_there_is_no_gain_the_last_is_kept_and_logged(monkeypatch: pytest.MonkeyPatch) -> None:
     rig = dpend.rig("gustafsson2016")
     sdre = SDRE(rig)
     act = sdre.start(2, np.random.default_rng(0))

@@ -1,5 +1,7 @@
 """What deep learners see and are rewarded for: bounds, symmetries, and the mixture of starts."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,43 @@ def some_states(n=200, seed=0):
 
 def reward(x):
     return -SHAPED.cost(x, np.zeros(len(x), dtype=np.uint8))
+
+
+def published_reward(x, failed, end_of_track, gravity, length1, length2) -> float:
+    """The reward as docs/deep-rl.md prints it, of one state, in Python's own numbers."""
+    pos, th1, th2, _, om1, om2 = map(float, x)
+    reach = length1 * math.cos(th1) + length2 * math.cos(th2)
+    height = (1 + reach / (length1 + length2)) / 2
+    s_om2 = 4 * gravity / ((length1 + length2) / 2)
+    settled = math.exp(-2 * (om1**2 + om2**2) / s_om2)
+    upright = math.exp(-10 + 5 * math.cos(th1) + 5 * math.cos(th2))
+    share_of_track = min(abs(pos) / end_of_track, 1)
+    return (height * (1 + settled) / 4 + upright / 2) * (1 - 0.3 * share_of_track**2) - (5 if failed else 0)
+
+
+@pytest.mark.parametrize("preset", ["gustafsson2016", "bogdanov2004"])
+def test_the_reward_is_the_published_equation(preset):
+    rig = dpend.rig(preset).replace(track_limit=1.7)
+    shaped = Shaped(task=SwingUp(), rig=rig, mixture=[SwingUp()], steps=100)
+    rng = np.random.default_rng(7)
+    x = np.concatenate([some_states(300, 1), rng.normal(scale=(1, 0.3, 0.3, 1, 2, 2), size=(300, 6))])
+    failed = rng.random(600) < 0.2
+    p = rig.params
+    g, length1, length2 = float(p.gravity), float(p.length1), float(p.length2)
+    expected = [published_reward(state, fell, 1.7, g, length1, length2) for state, fell in zip(x, failed, strict=True)]
+    np.testing.assert_allclose(-shaped.cost(x, failed.astype(np.uint8)), expected, rtol=1e-12, atol=1e-14)
+    assert 0 < (np.abs(x[:, 0]) > 1.7).mean() < 1  # within the track and beyond its end
+
+
+def test_states_are_seen_as_the_documentation_says():
+    rig = dpend.rig("bogdanov2004")  # links of 0.5 and 0.75 m on an unlimited track
+    s_om = 2 * math.sqrt(9.81 / 0.625)
+    assert observation_scales(rig) == pytest.approx([1.25, 0.3125 * s_om, s_om, s_om], rel=1e-14)
+    scales = np.array([2.0, 3.0, 5.0, 7.0])
+    for x, seen in zip(some_states(20), observe(some_states(20), scales, np.linspace(-1, 1, 20)), strict=True):
+        pos, th1, th2, vel, om1, om2 = x
+        trigonometry = math.sin(th1), math.cos(th1), math.sin(th2), math.cos(th2)
+        assert seen[:8] == pytest.approx([pos / 2, *trigonometry, vel / 3, om1 / 5, om2 / 7], rel=1e-14)
 
 
 def test_the_reward_is_greatest_upright_at_rest_in_the_middle():
@@ -73,3 +112,4 @@ def test_it_ends_as_its_task_does():
     x[::2, 0] = 3.0
     np.testing.assert_array_equal(SHAPED.ended(x, RIG), SwingUp().ended(x, RIG))
     np.testing.assert_array_equal(SHAPED.upright(x), SwingUp().upright(x))
+    assert SHAPED.hold == 0.0  # while it is learned nothing need be held

@@ -311,7 +311,15 @@ def test_the_reports_criterion_lets_link_2_fall() -> None:
 
 def test_a_run_ends_when_its_state_is_no_number() -> None:
     for force in (np.nan, np.inf):
-        run = simulate(endless(), Script(np.array([1.0, force, 1.0, 1.0])), HANGING, 0.08, task=None)
+        push = {0: 1.0, 1: force}
+        run = simulate(
+            endless(),
+            Zero(),
+            HANGING,
+            0.08,
+            task=None,
+            push=lambda t, push=push: (push.get(round(t / 0.02), 1.0), 0, 0),
+        )
         assert run.status is Status.NOT_FINITE
         assert len(run.u) == 2
         assert np.isfinite(run.x[1]).all()
@@ -338,8 +346,9 @@ def test_a_status_says_in_words_how_the_run_ended() -> None:
         "Link 1 fell: it leans by more than a quarter turn.",
         "Link 2 fell: it leans by more than a quarter turn.",
         "The state is no longer a finite number.",
+        "The controller, or the push, failed; the run is kept up to there.",
     ]
-    assert [status.code for status in Status] == [0, 1, 2, 3, 4]
+    assert [status.code for status in Status] == [0, 1, 2, 3, 4, 5]
 
 
 def test_what_a_run_did_not_live_to_see_is_nan() -> None:
@@ -372,15 +381,17 @@ def test_a_run_that_has_ended_disturbs_nobody() -> None:
 
 
 def test_a_run_that_has_blown_up_is_parked_out_of_the_laws_sight() -> None:
-    class Blowing:
+    class Watching:
         def start(self, n: int, rng: np.random.Generator) -> Act:
             def act(t: float, y: Array) -> Array:
                 assert np.isfinite(y).all()
-                return np.where(np.arange(n) == 0, np.nan, 1.0)
+                return np.ones(n)
 
             return act
 
-    runs = simulate_many(endless(), Blowing(), np.tile(HANGING, (2, 1)), 0.2, task=None)
+    push = np.array([[np.nan, 0, 0], [0, 0, 0]])
+    x0 = np.tile(HANGING, (2, 1))
+    runs = simulate_many(endless(), Watching(), x0, 0.2, task=None, push=lambda t: push if t == 0 else np.zeros(3))
     assert runs.status == [Status.NOT_FINITE, Status.FULL_LENGTH]
 
 

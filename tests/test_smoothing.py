@@ -152,7 +152,7 @@ def test_bang_bang_becomes_smoother() -> None:
 
 
 class OneByOne(LQR):
-    """A law that treats one run at a time and tells of its steps."""
+    """A law that treats one run at a time and logs its steps."""
 
     batched = False
 
@@ -169,7 +169,7 @@ class OneByOne(LQR):
         return act
 
 
-def test_one_run_at_a_time_stays_one_at_a_time_and_what_is_told_is_kept() -> None:
+def test_one_run_at_a_time_stays_one_at_a_time_and_its_log_is_kept() -> None:
     law = RateLimit(RIG, LowPass(RIG, OneByOne(RIG), frequency=10.0), 1000.0)
     assert not law.batched
     starts = dpend.Balance(lam=0.05).starts(RNG(6), 3, RIG)

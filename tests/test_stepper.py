@@ -472,7 +472,7 @@ def test_the_applied_force_is_the_callers_to_keep_and_to_change() -> None:
 def test_a_force_for_each_row_is_asked_for(u: Any) -> None:
     stepper = Stepper(endless(), 3)
     stepper.reset(at_rest(3))
-    hint = " A law written as y @ K.T gives a column: take [:, 0]." if np.shape(u) == (3, 1) else ""
+    hint = " A law written as y @ K.T returns a column: take [:, 0]." if np.shape(u) == (3, 1) else ""
     message = f"Expected one force per row, shape (3,); got shape {np.shape(u)}.{hint}"
     with pytest.raises(ValueError, match=whole(message)):
         stepper.step(u)

@@ -1,4 +1,4 @@
-"""What is caught stays caught, where it is said that it would; and who is in charge is as the regions say."""
+"""What is caught stays caught, where it is said that it would; and which law is in charge is as the regions say."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_calibrated_ellipsoid_catches_fresh_starts_all_through_it() -> None:
     assert not RolloutRegion(RIG, lqr)(Ellipsoid(lqr, 2 * region.level).boundary(500, rng)).all()
 
 
-def test_looking_ahead_tells_what_the_simulation_does() -> None:
+def test_a_rollout_region_is_where_the_simulation_comes_to_rest() -> None:
     lqr = LQR(RIG)
     starts = dpend.Balance(lam=0.6).starts(np.random.default_rng(5), 200, RIG)
     rests = RolloutRegion(RIG, lqr)(starts)
@@ -63,7 +63,7 @@ def test_looking_ahead_tells_what_the_simulation_does() -> None:
     assert (rests == runs.success).mean() > 0.98  # slow ones may rest later
 
 
-def test_looking_ahead_judges_each_state_alone() -> None:
+def test_a_rollout_region_judges_each_state_alone() -> None:
     ahead = RolloutRegion(RIG, LQR(RIG))
     starts = dpend.Balance(lam=0.6).starts(np.random.default_rng(5), 30, RIG)
     assert_array_equal(ahead(starts), np.concatenate([ahead(x[None]) for x in starts]))
@@ -96,7 +96,7 @@ class Counting:
         return act
 
 
-def test_whoever_is_in_charge_answers_with_hysteresis_and_afresh() -> None:
+def test_the_law_in_charge_answers_with_hysteresis_and_starts_afresh() -> None:
     catch = SwitchingController(
         RIG, Constant(-1.0), Counting(), region=lambda x: np.abs(x[:, 0]) < 0.1, leave=lambda x: np.abs(x[:, 0]) > 0.5
     )
@@ -127,8 +127,8 @@ def test_in_a_batch_each_row_has_its_own_law_in_charge() -> None:
 def test_a_fallen_link_is_handed_back() -> None:
     act = SwitchingController(RIG, Constant(-1.0)).start(1, np.random.default_rng(0))
     fallen = np.array([[0, 2.0, 0, 0, 0, 0]])
-    told = [act(0.02 * k, y)[0] for k, y in enumerate([np.zeros((1, 6)), fallen])]
-    assert told == [0.0, -1.0]
+    forces = [act(0.02 * k, y)[0] for k, y in enumerate([np.zeros((1, 6)), fallen])]
+    assert forces == [0.0, -1.0]
 
 
 def test_a_batch_is_its_rows() -> None:

@@ -57,7 +57,7 @@ def test_what_is_no_saved_trajectory_is_refused(tmp_path: Path) -> None:
     cut = tmp_path / "cut.npz"
     cut.write_bytes(swinging().save(tmp_path / "whole.npz").read_bytes()[:-100])
     for path, reason in ((run, "it is 'dpend run 1'"), (cut, "it is empty, cut short, damaged or no .npz at all")):
-        message = f"{path} cannot be read as 'dpend trajectory 1': {reason}. Save it anew, or copy it again."
+        message = f"{path} cannot be read as 'dpend trajectory 1': {reason}. Save it again, or copy it afresh."
         with pytest.raises(ValueError, match=whole(message)):
             Trajectory.load(path)
     with pytest.raises(FileNotFoundError):

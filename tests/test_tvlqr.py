@@ -48,11 +48,13 @@ def rolled_out(rig: Rig, x0: Array, u: Array) -> Array:
     return np.array(states)
 
 
-def success(controller: TVLQR, task: SwingUp, n: int, *, spread: float = 0.0, seed: int = 0) -> int:
+def success(controller: TVLQR, task: SwingUp, n: int, *, model_error: float = 0.0, seed: int = 0) -> int:
     """Count the runs that succeed, on rigs whose masses and lengths are off by up to a share."""
     rng = np.random.default_rng(seed)
     names = ("cart_mass", "mass1", "mass2", "length1", "length2")
-    true = RIG.replace(**{name: getattr(RIG.params, name) * (1 + spread * rng.uniform(-1, 1, n)) for name in names})
+    true = RIG.replace(
+        **{name: getattr(RIG.params, name) * (1 + model_error * rng.uniform(-1, 1, n)) for name in names}
+    )
     return int(dpend.simulate_many(true, controller, task.starts(rng, n, RIG), task=task, seed=seed).success.sum())
 
 
@@ -175,7 +177,7 @@ def test_it_brings_up_what_starts_up_to_a_fifth_of_a_radian_off(start: str) -> N
 
 @pytest.mark.parametrize(("index", "least"), [("time", 180), ("nearest", 192)])
 def test_it_brings_up_plants_whose_masses_and_lengths_are_five_percent_off(index: Any, least: int) -> None:
-    assert success(TVLQR(RIG, index=index), SwingUp(steps=250), 200, spread=0.05) >= least
+    assert success(TVLQR(RIG, index=index), SwingUp(steps=250), 200, model_error=0.05) >= least
 
 
 @pytest.mark.slow

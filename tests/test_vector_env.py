@@ -447,7 +447,7 @@ INDICES = "Actions are indices of forces: expected an array of shape (2,) with w
             lambda: balance_vector(2, RIG.replace(force_limit=[30.0, np.inf])),
             ValueError,
             "A continuous action is a share of the force limit: expected a finite one; got array([30., inf]). Set it "
-            "with rig.replace(force_limit=...), in N, or give forces=[...] to choose from.",
+            "with rig.replace(force_limit=...), in N, or pass forces=[...] to choose from.",
         ),
         (
             lambda: balance_vector(2, RIG.replace(force_limit=[30.0, 10.0]), forces=[-20, 20]),
@@ -514,7 +514,7 @@ INDICES = "Actions are indices of forces: expected an array of shape (2,) with w
         (
             lambda: _reset({"reset_mask": np.array([True, False])}, seed=1),
             ValueError,
-            "A seed restarts the random numbers of all copies, a reset_mask begins some: give one or the other.",
+            "A seed restarts the random numbers of all copies, a reset_mask begins some: pass one or the other.",
         ),
         (
             lambda: _reset({"x0": np.zeros((3, 6))}),

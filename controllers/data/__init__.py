@@ -1,4 +1,4 @@
-"""Trajectories that come with the package; ``python -m controllers.data`` makes them anew."""
+"""Trajectories that come with the package; ``python -m controllers.data`` recomputes them."""
 
 from __future__ import annotations
 

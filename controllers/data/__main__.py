@@ -30,7 +30,7 @@ class Recipe(NamedTuple):
     rig, start, target, objective : str
         The problem.
     options : dict
-        The rest of its arguments.
+        Its other arguments.
     guess : str or None
         File of the trajectory from which guesses are made, one that is made before.
     backwards : bool
