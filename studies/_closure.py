@@ -26,8 +26,6 @@ _DATA = {"controllers.data": "controllers/data/*.npz", "rl.policies": "rl/traine
 """What is shipped beside a module and read by it."""
 _SHOWN_ONLY = frozenset({"style", "prior_knowledge"})
 """Keywords that only figures and tables read."""
-_SHOWN_ONLY = frozenset({"style", "prior_knowledge"})
-"""Keywords that only figures and tables read."""
 _ASIDE = frozenset({"dpend.draw", "studies._closure", "studies._own", "studies._runner"})
 """Modules that change no result: they draw, and find out what results depend on and keep them."""
 _MODULE_NAME = re.compile(r"(\w+(?:\.\w+)+)(?::\w+)?")
@@ -249,6 +247,12 @@ def kept_table(name: str, root: Path = ROOT) -> Path:
     """
     installed = root / "studies" / "data" / f"{name}.csv"
     return installed if installed.exists() else root / "docs" / "results" / name / "rows.csv"
+
+
+def kept_folder(name: str, root: Path = ROOT) -> Path | None:
+    """Return the folder of a study's whole kept table, in the package or in docs/results; None if there is none."""
+    folders = (root / "studies" / "data" / name, root / "docs" / "results" / name)
+    return next((folder for folder in folders if (folder / "meta.json").exists()), None)
 
 
 def within_environment(file: Path) -> bool:

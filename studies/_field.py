@@ -139,7 +139,7 @@ def _follower(rig: Rig, task: Balance | SwingUp) -> Controller:
 def _planned_last_swing(rig: Rig, task: Balance | SwingUp) -> Controller:
     """Pump energy, plan the last swing with a short horizon, and balance."""
     return SwitchingController(
-        rig, SwitchingController(rig, EnergyPump(rig), ILQRMPC(rig, horizon=40, starts=4)), LQR(rig)
+        rig, SwitchingController(rig, EnergyPump(rig), ILQRMPC(rig, horizon=0.8, starts=4)), LQR(rig)
     )
 
 

@@ -14,23 +14,16 @@ import importlib
 import inspect
 import json
 import os
-import signal
-import sys
-import threading
 import time
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, as_completed
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from enum import Enum
-from functools import partial
-from multiprocessing import current_process, get_context, parent_process
+from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, Protocol, cast
 
-import numpy as np
 import pandas as pd
 import tyro
 from matplotlib.figure import Figure
@@ -39,19 +32,26 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+import dpend
+from dpend import Rig, archive
 from dpend.provenance import versions
+from dpend.workers import interruptible, pool
 
-from ._closure import kept_table, source_hash
+from ._closure import kept_folder, kept_table, source_hash
 from ._figures import look
-from ._table import AnyArray, Table, UnwritableError, load, read_rows, save, where, whole_file
+from ._table import AnyArray, Table, load, read_rows, save, where
 from ._tables import Sheet, document, terminal
 
 __all__ = [
-    "Options", "Report", "Result", "Study", "Table", "kept_table", "main", "read_rows", "run_study", "studies", "where",
+    "OnRig", "Options", "Plant", "Report", "Result", "Study", "Table", "kept_table", "main", "read_rows", "run_study",
+    "studies", "where",
 ]  # fmt: skip
 
 QUICK = "quick run: too few runs to mean much"
 """What stands on everything that a quick run makes."""
+DEFAULT_RIG = "gustafsson2016"
+"""The rig of the comparisons, for which policies and tables are shipped."""
+_JOB = "dpend study job 1"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +68,8 @@ class Options:
     """A small version that ends in seconds and shows that everything works; its figures mean little."""
     format: Literal["png", "pdf", "svg"] = "png"
     """File format of the figures."""
+    fresh: bool = False
+    """Compute every job, also those whose results come with the project, in docs/results."""
 
     def __post_init__(self) -> None:
         self.check_least(1, "workers")
@@ -84,6 +86,61 @@ class Options:
         for name in names:
             if getattr(self, name) < least:
                 raise ValueError(f"--{name.replace('_', '-')} must be at least {least}; got {getattr(self, name)}.")
+
+
+class Plant(NamedTuple):
+    """A rig as a job names it: a column of the table by its name, and in the job's key with every number."""
+
+    name: str
+    """That of ``--rig``, and what ``--set`` changed."""
+    definition: str
+    """JSON of all its fields."""
+
+    @property
+    def rig(self) -> Rig:
+        """The rig itself."""
+        return _rig(self.definition)
+
+
+@cache
+def _rig(definition: str) -> Rig:
+    return Rig.from_dict(json.loads(definition))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnRig(Options):
+    """Options of a study that may be done on any rig: ``options.plant`` is what its jobs hold."""
+
+    rig: str = DEFAULT_RIG
+    """The rig: a preset's name, or a TOML file."""
+    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Changes of it, such as mass1=.6; repeatable."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.plant
+
+    @property
+    def plant(self) -> Plant:
+        """The rig with its changes, as a job holds it.
+
+        Raises
+        ------
+        ValueError
+            If there is no such rig, or a change is none.
+        """
+        changes: dict[str, float] = {}
+        for change in self.set:
+            name, _, value = change.partition("=")
+            try:
+                changes[name] = float(value)
+            except ValueError:
+                raise ValueError(f"--set must be name=number, such as mass1=.6; got {change!r}.") from None
+        try:
+            rig = dpend.rig(self.rig).replace(**cast(Any, changes))
+        except (OSError, TypeError) as error:
+            raise ValueError(f"--rig {self.rig}: {error}") from error
+        return Plant(", ".join([self.rig, *self.set]), json.dumps(rig.to_dict()))
 
 
 class Result(NamedTuple):
@@ -150,18 +207,18 @@ def main(name: str, arguments: Sequence[str] | None = None) -> Table:
     -------
     Table
     """
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # shells let background jobs inherit "ignore"
     study = cast(Study, importlib.import_module(name))
     console = Console(stderr=True, highlight=False, emoji=False)
     try:
         options = tyro.cli(study.Options, args=arguments, description=inspect.getdoc(study), prog=f"python -m {name}")
-        if arguments is not None and options.workers == 1:
-            return run_study(name, options)
-        with _processes(options.workers) as executor:
-            return run_study(name, options, executor)
-    except UnwritableError as error:
-        console.print(f"[bold red]Error:[/] {escape(str(error))} Finished jobs are kept.", soft_wrap=True)
+        with interruptible():
+            if arguments is not None and options.workers == 1:
+                return run_study(name, options)
+            with pool(options.workers) as executor:
+                return run_study(name, options, executor)
+    except OSError as error:
+        reason = error if error.filename else error.strerror or error
+        console.print(f"[bold red]Error:[/] {escape(str(reason))}. Finished jobs are kept.", soft_wrap=True)
         raise SystemExit(2) from None
     except KeyboardInterrupt:
         console.print("\nStopped. Finished jobs are kept: the same command goes on from here.")
@@ -189,41 +246,50 @@ def run_study(name: str, options: Options, executor: Executor | None = None) -> 
 
     Raises
     ------
-    UnwritableError
+    OSError
         If something cannot be written; before anything runs, if the folder cannot be.
     RuntimeError
         If processes cannot be started from where this is called.
     """
     if executor is None and options.workers > 1:
-        with _processes(options.workers) as pool:
-            return run_study(name, options, pool)
+        with pool(options.workers) as processes:
+            return run_study(name, options, processes)
     began = time.perf_counter()
     study = cast(Study, importlib.import_module(name))
     short = name.removeprefix("studies.")
     out = _writable(options.out or Path("results") / (f"{short}-quick" if options.quick else short))
     jobs = study.jobs(options)
-    files = {job: out / "jobs" / f"{key(name, job)}.npz" for job in jobs}
-    if len(files) < len(jobs):
+    keys = {job: key(name, job) for job in jobs}
+    if len(keys) < len(jobs):
         raise ValueError(f"{name}: two of its jobs are the same.")
-    missing = {job: file for job, file in files.items() if not file.exists()}
-    _do(name, missing, len(files), executor)
+    files = {job: out / "jobs" / f"{digits}.npz" for job, digits in keys.items()}
+    done = {job: work for job, file in files.items() if (work := _finished(file))}
+    kept = {} if options.fresh else _kept(short)
+    shipped = {job: kept[digits] for job, digits in keys.items() if job not in done and digits in kept}
+    if shipped:
+        print(f"{len(shipped)} of {len(keys)} jobs come from {kept_folder(short)}; --fresh computes them here.")
+    done |= shipped
+    earlier = len(done)
+    done |= _do(name, {job: file for job, file in files.items() if job not in done}, len(files), executor)
 
-    kept = [_read(file) for file in files.values()]
+    works = [done[job] for job in keys]
     rows = [
         {"job": number, **plain_fields(job), **row}
-        for number, (job, (record, _)) in enumerate(zip(files, kept, strict=True))
-        for row in record["rows"]
+        for number, (job, work) in enumerate(zip(keys, works, strict=True))
+        for row in work.record["rows"]
     ]
-    by_job = {number: arrays for number, (_, arrays) in enumerate(kept) if arrays}
+    by_job = {number: work.arrays for number, work in enumerate(works) if work.arrays}
     meta = {
         "study": name,
         "options": asdict(options) | {"out": None},
-        "jobs": len(files),
-        "jobs_done_earlier": len(files) - len(missing),
+        "jobs": len(keys),
+        "jobs_done_earlier": earlier,
         "source": source_hash(name),
         "versions": versions(),
-        "job_seconds": sum(record["seconds"] for record, _ in kept),
+        "job_seconds": sum(work.record["seconds"] for work in works),
         "wall_seconds": time.perf_counter() - began,
+        "row_columns": list(works[0].record["rows"][0]),
+        "keys": {digits: work.record["seconds"] for digits, work in zip(keys.values(), works, strict=True)},
     }
     save(Table(pd.DataFrame(rows), options.quick, by_job), out, meta)
     table = load(out)
@@ -263,7 +329,7 @@ def _mark(figure: Figure) -> None:
 
 
 def _write(path: Path, write: Callable[[Path], object]) -> None:
-    with whole_file(path) as part:
+    with archive.atomic(path) as part:
         write(part)
 
 
@@ -316,44 +382,69 @@ def _plain(value: Any) -> Any:
 
 
 def plain_fields(job: Any) -> dict[str, Any]:
-    """Return the fields of a job that become columns of the table: numbers, words and truth values."""
+    """Return the fields of a job that become columns of the table: numbers, words, truth values, a plant's name."""
+    values = {each.name: getattr(job, each.name) for each in fields(job)}
+    named = {name: value.name if isinstance(value, Plant) else value for name, value in values.items()}
+    return {name: value for name, value in named.items() if isinstance(value, str | bool | int | float)}
+
+
+class _Work(NamedTuple):
+    """What is kept of a finished job: its rows and the seconds it took, and its arrays."""
+
+    record: dict[str, Any]
+    arrays: dict[str, AnyArray]
+
+
+def _finished(file: Path) -> _Work | None:
+    """Return a job that was finished earlier; none where there is no file or a damaged one."""
+    try:
+        return _Work(*archive.read(file, _JOB))
+    except (FileNotFoundError, ValueError):
+        return None
+
+
+def _kept(short: str) -> dict[str, _Work]:
+    """Return the jobs of the table that comes with the project, by key."""
+    folder = kept_folder(short)
+    meta = json.loads((folder / "meta.json").read_text(encoding="utf-8")) if folder else {}
+    if folder is None or "keys" not in meta:
+        return {}
+    table = load(folder)
+    columns: list[str] = meta["row_columns"]
+    rows: dict[int, list[dict[str, Any]]] = {}
+    for line in table.lines():
+        rows.setdefault(line.job, []).append({column: getattr(line, column) for column in columns})
     return {
-        each.name: value
-        for each in fields(job)
-        if isinstance(value := getattr(job, each.name), str | bool | int | float)
+        digits: _Work({"rows": rows[number], "seconds": seconds}, dict(table.by_job.get(number, {})))
+        for number, (digits, seconds) in enumerate(meta["keys"].items())
     }
 
 
-def _do(name: str, work: Mapping[Any, Path], total: int, executor: Executor | None) -> None:
+def _do(name: str, work: Mapping[Any, Path], total: int, executor: Executor | None) -> dict[Any, _Work]:
     """Do jobs, here or by an executor, and keep each when it is done, with a progress bar."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    done: dict[Any, _Work] = {}
     with Progress(*columns, console=Console(stderr=True)) as progress:
         bar = progress.add_task(name, total=total, completed=total - len(work))
-        for job, content in _done(name, work, executor):
-            _write(work[job], partial(_savez, content=content))
+        for job, each in _done(name, work, executor):
+            archive.write(work[job], _JOB, each.record, each.arrays)
+            done[job] = each
             progress.advance(bar)
+    return done
 
 
-def _done(
-    name: str, work: Mapping[Any, Path], executor: Executor | None
-) -> Iterator[tuple[Hashable, dict[str, AnyArray]]]:
+def _done(name: str, work: Mapping[Any, Path], executor: Executor | None) -> Iterator[tuple[Any, _Work]]:
     """Return jobs with what is to be kept of them, in the order in which they end."""
     if executor is None:
         yield from ((job, _do_one(name, job)) for job in work)
         return
-    waiting: dict[Future[dict[str, AnyArray]], Any] = {executor.submit(_do_one, name, job): job for job in work}
-    try:
-        for future in as_completed(waiting):
-            yield waiting[future], future.result()
-    except BrokenProcessPool as error:
-        raise RuntimeError(
-            "The worker processes ended before their work did.  A script that starts some needs its calls below "
-            "'if __name__ == \"__main__\":' in a file; else use workers=1.  If it has that, memory may have run out."
-        ) from error
+    waiting = {executor.submit(_do_one, name, job): job for job in work}
+    for future in as_completed(waiting):
+        yield waiting[future], future.result()
 
 
-def _do_one(name: str, job: Any) -> dict[str, AnyArray]:
-    """Return what is kept of a job: its arrays, and a record as JSON."""
+def _do_one(name: str, job: Any) -> _Work:
+    """Do a job."""
     began = time.perf_counter()
     result = cast(Study, importlib.import_module(name)).run(job)
     rows = [row if isinstance(row, dict) else asdict(row) for row in result.rows]
@@ -362,19 +453,7 @@ def _do_one(name: str, job: Any) -> dict[str, AnyArray]:
         raise ValueError(f"{name}: a job returns rows, at least one, all with the same fields; got {sorted(names)}.")
     if twice := rows[0].keys() & {"job", *plain_fields(job)}:
         raise ValueError(f"{name}: {', '.join(sorted(twice))} is a field of the job and of the row; one is enough.")
-    record = {"rows": rows, "seconds": time.perf_counter() - began}
-    text = json.dumps(record, default=lambda value: value.item())  # numpy's numbers
-    return {"record": np.array(text)} | {f"|{name}": np.asarray(array) for name, array in result.arrays.items()}
-
-
-def _savez(path: Path, content: dict[str, AnyArray]) -> None:
-    np.savez_compressed(path, allow_pickle=False, **cast(Any, content))
-
-
-def _read(file: Path) -> tuple[dict[str, Any], dict[str, AnyArray]]:
-    with np.load(file, allow_pickle=False) as stored:
-        arrays = {name.removeprefix("|"): stored[name] for name in stored.files if name.startswith("|")}
-        return json.loads(str(stored["record"])), arrays
+    return _Work({"rows": rows, "seconds": time.perf_counter() - began}, dict(result.arrays))
 
 
 def _writable(out: Path) -> Path:
@@ -385,47 +464,10 @@ def _writable(out: Path) -> Path:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise UnwritableError(
-            f"Cannot write to --out {out} ({error.strerror}); choose a folder that you may write to."
+        raise OSError(
+            f"Cannot write to --out {out} ({error.strerror}); choose a folder that you may write to"
         ) from error
     return out
-
-
-# ---------------------------------------------------------------------------------------------------------- processes
-
-
-@contextmanager
-def _processes(workers: int) -> Iterator[Executor]:
-    """Return a pool of processes that end with this one, at once where the block is left by an exception."""
-    main_module = sys.modules["__main__"]
-    if getattr(current_process(), "_inheriting", False) or str(getattr(main_module, "__file__", "")) == "<stdin>":
-        raise RuntimeError(
-            "Worker processes import the script that started them.  Put its calls below "
-            "'if __name__ == \"__main__\":' in a file, or use workers=1."
-        )
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_follow_parent)
-    try:
-        yield pool
-    except BaseException:
-        processes = list((pool._processes or {}).values())
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in processes:
-            process.terminate()
-        raise
-    pool.shutdown()
-
-
-def _follow_parent() -> None:
-    """Leave Ctrl-C to the parent, and end with it even where it is killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-
-    def end_with_parent() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def studies() -> Iterator[str]:

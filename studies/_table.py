@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
@@ -14,11 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from dpend.archive import atomic
+
 AnyArray = npt.NDArray[Any]
-
-
-class UnwritableError(Exception):
-    """A result cannot be written; the message says which, and why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +110,7 @@ def save(table: Table, folder: Path, meta: Mapping[str, Any]) -> None:
     ------
     TypeError
         If a column mixes kinds, so that it would not be read back as it is.
-    UnwritableError
+    OSError
         If a file cannot be written.
     """
     columns = {column: str(kind) for column, kind in table.rows.dtypes.items()}
@@ -122,11 +118,11 @@ def save(table: Table, folder: Path, meta: Mapping[str, Any]) -> None:
     if mixed := [c for c, kind in columns.items() if kind == "object" or (c in gaps and not kind.startswith("float"))]:
         raise TypeError(f"A column holds words, truth values or numbers; {', '.join(mixed)} mixes them or lacks some.")
     flat = {f"{job}|{name}": array for job, named in table.by_job.items() for name, array in named.items()}
-    with whole_file(folder / "rows.csv") as part:
+    with atomic(folder / "rows.csv") as part:
         table.rows.to_csv(part, index=False, na_rep="nan")
-    with whole_file(folder / "arrays.npz") as part:
+    with atomic(folder / "arrays.npz") as part:
         np.savez_compressed(part, allow_pickle=False, **cast(Any, flat))
-    with whole_file(folder / "meta.json") as part:
+    with atomic(folder / "meta.json") as part:
         text = json.dumps({**meta, "quick": table.quick, "columns": columns}, indent=2, default=str)
         part.write_text(text + "\n", encoding="utf-8")
 
@@ -173,23 +169,3 @@ def read_rows(file: Path, columns: Mapping[str, str] | None = None) -> pd.DataFr
         na_values=["nan"] if columns is None else {c: ["nan"] for c, kind in columns.items() if kind != "str"},
         encoding="utf-8",
     )
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Return the path of a temporary file that takes the place of ``path`` at the end, or vanishes on an error.
-
-    Raises
-    ------
-    UnwritableError
-        If it cannot be written; what was there before is still there.
-    """
-    part = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
-    try:
-        yield part
-        part.replace(path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise UnwritableError(f"{path} cannot be written ({reason}); what was there before is unchanged.") from error
-    finally:
-        part.unlink(missing_ok=True)

@@ -28,7 +28,7 @@ from dpend.params import Array
 from . import _runner
 from ._estimates import share
 from ._figures import facets, forest
-from ._runner import Report, Result, Table
+from ._runner import Plant, Report, Result, Table
 from ._tables import sheet
 
 MINUTES = 10
@@ -70,7 +70,7 @@ SETTINGS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_runner.Options):
+class Options(_runner.OnRig):
     """Options of the command line."""
 
     runs: int = 200
@@ -87,6 +87,7 @@ class Options(_runner.Options):
 class Job:
     """All starts of one law under one set of circumstances."""
 
+    plant: Plant
     setting: str
     runs: int
     duration: float
@@ -113,12 +114,13 @@ class Row:
 
 def jobs(options: Options) -> list[Job]:
     """List the work: one job a setting."""
-    quick, duration = (2, 2.0) if options.quick else (max(options.runs, options.fine_runs), DURATION)
+    quick = 3 if options.quick else max(options.runs, options.fine_runs)
     return [
         Job(
+            options.plant,
             name,
             min(options.fine_runs if changes.keys() & FINE.keys() else options.runs, quick),
-            duration,
+            DURATION,
             options.seed,
         )
         for name, (_, changes) in SETTINGS.items()
@@ -127,7 +129,7 @@ def jobs(options: Options) -> list[Job]:
 
 def run(job: Job) -> Result:
     """Let every start swing."""
-    plain = dpend.rig("gustafsson2016")
+    plain = job.plant.rig
     build, changes = SETTINGS[job.setting]
     rig = plain.replace(**changes)
     each = round(plain.sample_time / rig.sample_time)

@@ -1,13 +1,13 @@
 """How do controllers and learners compare as the starting angles grow, and with what can be saved at all?
 
 Method: every contender of studies/_field.py that balances, and controllers of yours (``--controller path.py:factory``),
-balances gustafsson2016 from θ1, θ2 ~ U[-λ, λ] for 300 samples of 0.02 s, and saves a start if neither link falls and
-the cart stays on its track.  All λ share their directions.  What is designed is evaluated on all starts; the k-th
-training of a learner on the k-th part of them, 100 each by default as in the report; deep learners come as shipped, one
-training, with 10 000 at most; those that take long get the first starts only.  Intervals are 95 %: Wilson's for one
-controller, Student's over trainings for learned ones.  λ50 and λ90 are where the curve falls to a half and to nine
-tenths.  The grey line is the best known, studies.recoverable.  A second figure shows from which angles at rest each
-saves the pendulum.
+balances gustafsson2016, or another ``--rig``, from θ1, θ2 ~ U[-λ, λ] for 300 samples, and saves a start if neither link
+falls and the cart stays on its track.  All λ share their directions.  What is designed is evaluated on all starts; the
+k-th training of a learner on the k-th part of them, 100 each by default as in the report; deep learners come as
+shipped, one training, with 10 000 at most; those that take long get the first starts only.  Intervals are 95 %:
+Wilson's for one controller, Student's over trainings for learned ones.  λ50 and λ90 are where the curve falls to a half
+and to nine tenths.  The grey line is the best known, studies.recoverable.  A second figure shows from which angles at
+rest each saves the pendulum.
 
 Why Q-learning is bang-bang: each feature of the report's Table 1 is constant or linear in the action, so
 q(s, a) = c(s) + a g(s) is a straight line over the actions.  Its greatest value is always at an end of the action set,
@@ -35,7 +35,7 @@ from rl import LinearQLearning
 from . import _field, _runner, recoverable
 from ._basins import basin, plot_basins
 from ._estimates import Estimate, crossing, mean_share, share
-from ._field import CONTENDERS, RIG, Contender, Cost, PriorKnowledge, find, styles
+from ._field import CONTENDERS, Contender, Cost, PriorKnowledge, find, styles
 from ._figures import (
     Curve,
     Style,
@@ -49,7 +49,7 @@ from ._figures import (
     share_axis,
 )
 from ._own import Own
-from ._runner import Report, Result, Table
+from ._runner import DEFAULT_RIG, Plant, Report, Result, Table
 from ._tables import Sheet, Value, cell, sheet
 
 MINUTES = 12
@@ -101,7 +101,7 @@ _ENOUGH = 10_000  # starts of what is shipped: a network takes ten times as long
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_field.Options):
+class Options(_field.Options, _runner.OnRig):
     """Options of the command line."""
 
     known: ClassVar[tuple[Contender, ...]] = KNOWN
@@ -136,12 +136,21 @@ class Options(_field.Options):
         return (min(self.trainings, 2), min(self.episodes, 20)) if self.quick else (self.trainings, self.episodes)
 
     def contenders(self, task: _field.TaskName) -> list[Contender]:
-        """Return those that take part: not what takes minutes, nor the plain rule, unless they are asked for."""
+        """Return those that take part.
+
+        Not what takes minutes, nor the plain rule, unless they are asked for; nor on another rig than the default one
+        policies that come as they were trained on that.
+        """
         asked = (*self.only, *([PLAIN] if self.plain else []))
         return [
             contender
             for contender in super().contenders(task)
-            if contender.name in asked or self.all or (contender.cost is not Cost.EXPENSIVE and contender.name != PLAIN)
+            if (contender.learner or not contender.policy or self.plant.name == DEFAULT_RIG)
+            and (
+                contender.name in asked
+                or self.all
+                or (contender.cost is not Cost.EXPENSIVE and contender.name != PLAIN)
+            )
         ]
 
     def starts(self, contender: Contender) -> int:
@@ -162,6 +171,7 @@ class Options(_field.Options):
 class Job:
     """One contender, or one training of a learner, at every λ."""
 
+    plant: Plant
     contender: str
     training: int
     lams: tuple[float, ...]
@@ -180,8 +190,9 @@ def jobs(options: Options) -> list[Job]:
     lams = tuple(sorted(options.lam))[:: 4 if options.quick else 1]
     return [
         Job(
-            contender.name, k, lams, k * episodes, episodes if contender.learner else options.starts(contender),
-            options.side(contender), options.seed, contender.own,
+            options.plant, contender.name, k, lams, k * episodes,
+            episodes if contender.learner else options.starts(contender), options.side(contender),
+            options.seed, contender.own,
         )
         for contender in sorted(options.contenders("balance"), key=lambda contender: contender.cost.value)
         for k in range(trainings if contender.learner else 1)
@@ -190,38 +201,38 @@ def jobs(options: Options) -> list[Job]:
 
 def run(job: Job) -> Result:
     """Train where there is something to train, then balance from the starts of every λ, and from those of the map."""
-    contender = find(job.contender, job.own, KNOWN)
+    rig, contender = job.plant.rig, find(job.contender, job.own, KNOWN)
     if contender.learner:
-        training = contender.learner(RIG).train([job.seed, 2, job.training])
+        training = contender.learner(rig).train([job.seed, 2, job.training])
         controller: dpend.Controller = training.policy
         outcome = training.outcome.name.lower().replace("_", " ")
         cost = training.cost.episodes, training.cost.steps, training.cost.test_steps
     else:
-        controller = contender.make(RIG, dpend.Balance())
+        controller = contender.make(rig, dpend.Balance())
         outcome, cost = SHIPPED if contender.policy else DESIGNED, (0, 0, 0)
     rows, stood = [], []
     for lam in job.lams:
         task = dpend.Balance(lam=lam)
-        starts = task.starts(np.random.default_rng([job.seed, 1]), job.first + job.starts, RIG)[job.first :]
-        success = dpend.simulate_many(RIG, controller, starts, task=task, seed=job.seed).success
+        starts = task.starts(np.random.default_rng([job.seed, 1]), job.first + job.starts, rig)[job.first :]
+        success = dpend.simulate_many(rig, controller, starts, task=task, seed=job.seed).success
         by_report = success.copy()  # what stands by the strict criterion stands by the report's too
         if not success.all():
             lenient = replace(task, criterion="report")
             lost = starts[~success]
-            by_report[~success] = dpend.simulate_many(RIG, controller, lost, task=lenient, seed=job.seed).success
+            by_report[~success] = dpend.simulate_many(rig, controller, lost, task=lenient, seed=job.seed).success
         stood.append(success)
         rows.append(
             {"lam": lam, "episodes": len(starts), "successes": int(success.sum()),
-             "successes_report": int(by_report.sum()), "outcome": outcome}
+             "successes_report": int(by_report.sum()), "outcome": outcome, "sample_time": rig.sample_time}
             | dict(zip(("training_episodes", "training_steps", "test_steps"), cost, strict=True))
         )  # fmt: skip
     arrays: dict[str, npt.NDArray[Any]] = {"saved": np.transpose(stood)}
     if job.training == 0 and (job.contender in TRACED or job.own):
         task = dpend.Balance(lam=_TRACE_LAM)
-        start = task.starts(np.random.default_rng([job.seed, 1]), 1, RIG)[0]
-        arrays["force"] = dpend.simulate(RIG, controller, start, _TRACE_SECONDS, task=task, seed=job.seed).u
+        start = task.starts(np.random.default_rng([job.seed, 1]), 1, rig)[0]
+        arrays["force"] = dpend.simulate(rig, controller, start, _TRACE_SECONDS, task=task, seed=job.seed).u
     if job.side:
-        arrays["basin"] = basin(controller, job.side, job.seed)
+        arrays["basin"] = basin(rig, controller, job.side, job.seed)
     return Result(rows, arrays)
 
 
@@ -271,15 +282,21 @@ def falls_to(table: Table, contender: str) -> Falls:
     return crossing(list(shares), outcomes, 0.5), crossing(list(shares), outcomes, 0.9)
 
 
-def best(lams: Sequence[float]) -> tuple[dict[float, Estimate], Falls]:
-    """Return what can be saved at all, as far as is known: the share by λ within those given, and λ50 and λ90."""
-    known = {lam: saved for lam, saved in recoverable.shipped().items() if lams[0] <= lam <= lams[-1]}
+def best(table: Table) -> tuple[dict[float, Estimate], Falls]:
+    """Return what can be saved at all, as far as is known: the share by λ within the table's, and λ50 and λ90."""
+    shipped, lams = recoverable.shipped() if _default(table) else {}, sorted(table.rows["lam"])
+    known = {lam: saved for lam, saved in shipped.items() if lams[0] <= lam <= lams[-1]}
     if not known:
         beyond = Estimate(math.inf, math.inf, math.inf)
         return {}, (beyond, beyond)
     outcomes = np.stack(list(known.values()), axis=1)
     shares = {lam: share(saved, len(saved)) for lam, saved in known.items()}
     return shares, (crossing(list(known), outcomes, 0.5), crossing(list(known), outcomes, 0.9))
+
+
+def _default(table: Table) -> bool:
+    """Return whether a table is of the rig of the report, for which comparisons are known."""
+    return set(table.rows["plant"]) == {DEFAULT_RIG}
 
 
 def _outcomes(table: Table, contender: str) -> list[str]:
@@ -317,7 +334,9 @@ def report(table: Table) -> Report:
     figures = {"": _overview(table, looks, success, falls)}
     maps = {name: table.arrays("basin", contender=name) for name in looks}
     if any(maps.values()):
-        figures["_basins"] = plot_basins({name: np.mean(basins, axis=0) for name, basins in maps.items() if basins})
+        figures["_basins"] = plot_basins(
+            {name: np.mean(basins, axis=0) for name, basins in maps.items() if basins}, known=_default(table)
+        )
     tables = (_success_table(table, success), _falls_table(table, success, falls), *_learning_tables(table, success))
     return Report(figures=figures, tables=[each for each in tables if each.lines])
 
@@ -326,7 +345,7 @@ def _overview(
     table: Table, looks: Mapping[str, Style], success: Mapping[str, Curve], falls: Mapping[str, Falls]
 ) -> Figure:
     lams = list(next(iter(success.values())))
-    known, known_falls = best(lams)
+    known, known_falls = best(table)
     forces = {name: table.arrays("force", contender=name) for name in looks}
     traced = {f"{name}, one episode at λ = {_TRACE_LAM:g}": name for name, force in forces.items() if force}
     learned = "learned († as shipped, one training)"
@@ -336,13 +355,15 @@ def _overview(
     )  # fmt: skip
     axes[learned].sharey(axes["designed"])
     axes[learned].tick_params(labelleft=False)
-    stars = {lam: Estimate(value) for lam, value in TABLE2.items() if lams[0] <= lam <= lams[-1]}
+    reported = TABLE2 if _default(table) else {}
+    stars = {lam: Estimate(value) for lam, value in reported.items() if lams[0] <= lam <= lams[-1]}
     for title in ("designed", learned):
         axis, designed = axes[title], title == "designed"
         own = [name for name in looks if (DESIGNED in _outcomes(table, name)) == designed]
-        best_known(axis, known, BEST_KNOWN)
+        if known:
+            best_known(axis, known, BEST_KNOWN)
         curves(axis, {_label(table, name): success[name] for name in own}, [looks[name] for name in own])
-        if not designed:
+        if stars and not designed:
             style = ("k", "*", "none")
             intervals(axis, list(stars), stars.values(), style, label="the report's Table 2", ms=8, zorder=5)
         share_axis(axis, "starts saved" if designed else "")
@@ -355,8 +376,9 @@ def _overview(
         of = {name: each[which] for name, each in shown.items()}
         forest(axes["falls"], of, looks, tried=(lams[0], lams[-1]), hollow=which == 1)
     axes["falls"].set_xlabel("λ90 (open) and λ50 (filled), rad")
+    sample_time = float(table.rows["sample_time"].to_numpy()[0])
     for title, name in traced.items():
-        force_trace(axes[title], forces[name][0], RIG.sample_time, _TRACE_SECONDS, looks[name][0], title)
+        force_trace(axes[title], forces[name][0], sample_time, _TRACE_SECONDS, looks[name][0], title)
         axes[title].tick_params(labelbottom=title == list(traced)[-1])
     if traced:
         axes[list(traced)[-1]].set_xlabel("time (s)")
@@ -367,7 +389,7 @@ def _overview(
 def _success_table(table: Table, success: Mapping[str, Curve]) -> Sheet:
     lams = list(next(iter(success.values())))
     named = {_label(table, name): curve for name, curve in success.items()}
-    by_lam = {BEST_KNOWN: best(lams)[0]} | named | {"the report's Table 2": TABLE2}
+    by_lam = {BEST_KNOWN: best(table)[0]} | named | {"the report's Table 2": TABLE2 if _default(table) else {}}
     lines = [{"contender": name} | {f"λ = {lam:g}": of.get(lam) for lam in lams} for name, of in by_lam.items() if of]
     brief = {"contender", *(f"λ = {lam:g}" for lam in TABLE2)}
     return sheet("Starts saved, %", lines, ".1%", note="† as shipped, one training", brief=brief)
@@ -375,7 +397,7 @@ def _success_table(table: Table, success: Mapping[str, Curve]) -> Sheet:
 
 def _falls_table(table: Table, success: Mapping[str, Curve], falls: Mapping[str, Falls]) -> Sheet:
     lams = list(next(iter(success.values())))
-    known, known_falls = best(lams)
+    known, known_falls = best(table)
 
     def line(name: str, starts: int, found: Falls, levels: Sequence[float], more: str | None) -> dict[str, Value]:
         lam50, lam90 = (cell(each, ".3f", tried=(levels[0], levels[-1])) for each in found)

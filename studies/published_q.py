@@ -26,7 +26,7 @@ from rl import LinearQLearning
 from . import _runner
 from ._estimates import Estimate, share
 from ._figures import facets, forest, legend_above, palette, share_axis
-from ._runner import Report, Result, Table, where
+from ._runner import Plant, Report, Result, Table, where
 from ._tables import sheet
 
 MINUTES = 12
@@ -43,7 +43,7 @@ REPORT_SHARE = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_runner.Options):
+class Options(_runner.OnRig):
     """Options of the command line."""
 
     trainings: int = 20
@@ -62,6 +62,7 @@ class Options(_runner.Options):
 class Job:
     """The trainings of one choice of features, criterion and cost weights."""
 
+    plant: Plant
     features: str
     criterion: str
     weights: str
@@ -94,12 +95,12 @@ def jobs(options: Options) -> list[Job]:
     """List the work: one job for the trainings of each choice of features and criterion and cost weights."""
     trainings, max_episodes = (2, 50) if options.quick else (options.trainings, options.max_episodes)
     sizes = min(options.trainings, trainings), min(options.max_episodes, max_episodes), options.episodes, options.seed
-    return [Job(f, c, w, *sizes) for f in FEATURES for c in CRITERIA for w in WEIGHTS]
+    return [Job(options.plant, f, c, w, *sizes) for f in FEATURES for c in CRITERIA for w in WEIGHTS]
 
 
 def run(job: Job) -> Result:
     """Train every remaining combination from every seed."""
-    rig = dpend.rig("gustafsson2016")
+    rig = job.plant.rig
     rows = []
     for failure_cost in FAILURE_COSTS:
         task = dpend.Balance(

@@ -87,8 +87,8 @@ def test_a_class_a_function_and_an_object_join_by_the_name_they_have(file, facto
         ("{}:number", "--controller {}:number: TypeError: expected a function, a class or a controller; got 3"),
         ("{}:nothing", "--controller {}:nothing: TypeError: A controller has a method start(n, rng) that returns "
          "act(t, y); NoneType has none."),
-        ("{}:wrong_shape", "--controller {}:wrong_shape: ValueError: Expected one force per row, shape (1,); "
-         "got shape (1, 6)."),
+        ("{}:wrong_shape", "--controller {}:wrong_shape: LawError: Wrong failed at t = 0 s in row 0: Expected one "
+         "force per row, shape (1,); got shape (1, 6). The runs up to there are kept in the error's `runs`."),
     ],
 )  # fmt: skip
 def test_what_is_no_controller_is_refused_before_a_study_begins(file, spec, message):

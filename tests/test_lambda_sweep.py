@@ -29,7 +29,8 @@ def names(**options):
 def row(**changes):
     return {
         "contender": "Q tuned", "training": 0, "lam": 0.1, "episodes": 100, "successes": 90, "successes_report": 95,
-        "outcome": "converged", "training_episodes": 1, "training_steps": 2, "test_steps": 3,
+        "outcome": "converged", "plant": "gustafsson2016", "sample_time": 0.02,
+        "training_episodes": 1, "training_steps": 2, "test_steps": 3,
     } | changes  # fmt: skip
 
 
@@ -46,9 +47,12 @@ def ran(*jobs):
     return table(*rows, arrays={k: dict(result.arrays) for k, result in enumerate(results)})
 
 
+PLANT = lambda_sweep.Options().plant
+
+
 def job(contender, **changes):
-    made = {"training": 0, "lams": (0.3,), "first": 0, "starts": 60, "side": 0, "seed": 0, "own": None}
-    return lambda_sweep.Job(contender, **(made | changes))
+    made = {"plant": PLANT, "training": 0, "lams": (0.3,), "first": 0, "starts": 60, "side": 0, "seed": 0, "own": None}
+    return lambda_sweep.Job(contender=contender, **(made | changes))
 
 
 def cells(reported):
@@ -152,12 +156,32 @@ def test_one_controller_falls_where_its_starts_say_and_several_trainings_where_t
 
 
 def test_the_best_known_is_the_share_of_the_shipped_table_within_the_spreads():
-    curve, (half, most) = lambda_sweep.best([0.2, 0.4])
+    curve, (half, most) = lambda_sweep.best(table(row(lam=0.2), row(lam=0.4)))
     assert list(curve) == [0.2, 0.3, 0.4]
     assert curve[0.4] == share(recoverable.shipped()[0.4], 1000)
     assert half.value == math.inf
     assert 0.3 < most.low < most.value < most.high < 0.4
-    assert lambda_sweep.best([1.0, 1.5])[0] == {}
+    assert lambda_sweep.best(table(row(lam=1.0)))[0] == {}
+    assert lambda_sweep.best(table(row(lam=0.2, plant="pilco2011")))[0] == {}
+
+
+def test_on_another_rig_it_is_evaluated_there_and_compared_with_nothing_of_the_default_one():
+    options = lambda_sweep.Options(
+        rig="gymnasium_idp", set=("force_limit=30",), only=("LQR", "PPO balance"), quick=True
+    )
+    (lqr,) = lambda_sweep.jobs(options)
+    rig = dpend.rig("gymnasium_idp").replace(force_limit=30.0)
+    starts = dpend.Balance(lam=lqr.lams[-1]).starts(np.random.default_rng([0, 1]), lqr.starts, rig)
+    task = dpend.Balance(lam=lqr.lams[-1])
+    made = ran(lqr)
+    assert made.rows["plant"].unique().tolist() == ["gymnasium_idp, force_limit=30"]
+    expected = dpend.simulate_many(rig, LQR(rig), starts, task=task).success.sum()
+    assert made.where(lam=lqr.lams[-1])["successes"].tolist() == [expected]
+    with _figures.look():
+        reported = lambda_sweep.report(made)
+    assert list(cells(reported)["Starts saved, %"]) == ["LQR"]
+    assert isinstance(reported.figures, dict)
+    assert reported.figures["_basins"].axes[0].get_title() == "LQR"
 
 
 def test_the_tables_count_the_converged_and_mark_what_is_shipped():
@@ -193,7 +217,7 @@ def test_the_finding_is_what_the_kept_table_says():
 
 def test_a_basin_is_mirrored_for_a_law_that_is_odd_and_lies_within_what_can_be_saved():
     angles, force = recoverable.shipped_map()
-    saved = _basins.basin(LQR(RIG), len(angles), 0)
+    saved = _basins.basin(RIG, LQR(RIG), len(angles), 0)
     assert (saved == saved[::-1, ::-1]).all()
     assert saved[len(angles) // 2, len(angles) // 2]
     assert (force[saved] <= recoverable.FORCE).all()
