@@ -280,9 +280,11 @@ def board(table: Table, places: Mapping[TaskName, Places]) -> tuple[list[Sheet],
         for task in TASKS
     }
     lines["Balance"] |= {REFERENCE: _saved(known)} if known else {}
-    lines["Cost"] = {name: _cost(table, name) for name in names}
+    lines |= {"Cost": {name: _cost(table, name) for name in names}, "Prior knowledge": {}}
     headings = GROUPS["Prior knowledge"]
-    lines["Prior knowledge"] = {name: dict(zip(headings, prior.get(name, YOURS), strict=True)) for name in names}
+    for name in names:
+        words = (None if word == "-" else word for word in prior.get(name, YOURS))
+        lines["Prior knowledge"][name] = dict(zip(headings, words, strict=True))
     own = {
         task: "; ".join(_place_in_words(name, task, of) for name in of if name not in prior)
         for task, of in places.items()

@@ -112,7 +112,7 @@ def test_the_prior_knowledge_of_every_contender_is_in_the_table():
     found = lines(made)[0]["Cost and prior knowledge"]
     words = {name: [each.text for each in line.values()][-4:] for name, line in found.items()}
     assert words.keys() == {*(contender.name for contender in CONTENDERS), "Mine"}
-    assert words["LQR"][:2] == ["equations and parameters", "quadratic cost"]
+    assert words["LQR"] == ["equations and parameters", "quadratic cost", "–", "all of it, exact"]
     assert words["Mine"] == list(YOURS)
     assert all(words[contender.name][0] == "none" for contender in CONTENDERS if contender.policy)
 

@@ -21,7 +21,6 @@ from studies._board import ranked, values_of
 from studies._field import CONTENDERS, Contender, PriorKnowledge
 from studies._runner import Table
 
-
 TASK = dpend.Balance(lam=0.1)
 
 
