@@ -8,14 +8,15 @@ import pytest
 import dpend
 from controllers import LQR, NoTrajectory, Zero
 from controllers.least_force import LeastForce
-from studies import _figures, recoverable
+from studies import _figures, _rescue, recoverable
 from studies._closure import kept_table
+from studies._null_controllable import null_controllable
 from studies._runner import Table
 from studies._table import read_rows, where
 from tests.rigs import endless, whole
 
 RIG = dpend.rig("gustafsson2016")
-SET = recoverable.null_controllable(RIG.params, 40.0)
+SET = null_controllable(RIG.params, 40.0)
 
 
 def at_rest(*angles):
@@ -28,7 +29,7 @@ def at_rest(*angles):
 def test_a_mode_alone_can_be_held_up_to_b_times_the_force_by_its_rate():
     b = (SET.W @ dpend.linearize(RIG.params)[1])[:, 0]
     assert np.abs(SET.boundary).max(axis=0) == pytest.approx(np.abs(b) * 40.0 / SET.rates, rel=1e-12)
-    half = recoverable.null_controllable(RIG.params, 20.0)
+    half = null_controllable(RIG.params, 20.0)
     assert half.boundary == pytest.approx(SET.boundary / 2)
 
 
@@ -148,9 +149,9 @@ def test_the_forces_of_a_plan_save_the_start_in_the_simulator_and_the_mirrored_o
     plan = search(start)
     assert plan.about["force"] < 40.0
     assert not dpend.simulate_many(RIG, LQR(RIG), start[None], task=task).success[0]
-    assert recoverable.holds(plan, start, task)
-    assert not recoverable.holds(plan, -start, task)
-    replay = recoverable.Replay(plan.u[None], LQR(RIG))
+    assert _rescue.holds(plan, start, task)
+    assert not _rescue.holds(plan, -start, task)
+    replay = _rescue.Replay(plan.u[None], LQR(RIG))
     runs = dpend.simulate_many(RIG, replay, start[None], task=task, record=True)
     assert runs.u[0, : len(plan.u)] == pytest.approx(plan.u)
     assert runs.x is not None
@@ -165,14 +166,14 @@ def test_every_start_that_any_controller_saves_counts_as_recoverable():
     task = dpend.Balance(lam=0.4)
     x0 = task.starts(np.random.default_rng([0, 1]), 8, RIG)
     can = np.array([row["recoverable"] for row in rows])
-    for law in recoverable.LAWS.values():
+    for law in _rescue.LAWS.values():
         assert (can | ~dpend.simulate_many(RIG, law(), x0, task=task).success).all()
     assert all(row["recoverable"] for row in rows if row["mpc"] == "yes" or row["lqr"] or row["stiff_sign"])
     assert all(row["mpc"] != "-" for row in rows[:2])
     assert all(row["report"] for row in rows if row["recoverable"])
-    assert [row["recoverable"] for row in rows] == [row["by"] != recoverable.NONE for row in rows]
+    assert [row["recoverable"] for row in rows] == [row["by"] != _rescue.NONE for row in rows]
     assert all(row["least_force"] > 0.99 * 40 for row in rows if not row["recoverable"])
-    assert {row["by"] for row in rows} > {"LQR", recoverable.OPTIMAL, recoverable.NONE}
+    assert {row["by"] for row in rows} > {"LQR", _rescue.OPTIMAL, _rescue.NONE}
 
 
 def test_a_controller_of_yours_is_tried_on_what_nothing_else_saves_and_its_success_counts(tmp_path, monkeypatch):
@@ -180,9 +181,9 @@ def test_a_controller_of_yours_is_tried_on_what_nothing_else_saves_and_its_succe
     options = recoverable.Options(lam=(0.1,), starts=3, grid=0, controller=(f"{tmp_path / 'mine.py'}:mine",))
     (job,) = recoverable.jobs(options)
     assert {row["by"] for row in recoverable.run(job).rows} == {"LQR"}
-    monkeypatch.setattr(recoverable, "LAWS", dict.fromkeys(("LQR", "sign of stiff LQR"), Zero))
-    monkeypatch.setattr(recoverable, "ILQRMPC", lambda rig, **settings: Zero())
-    monkeypatch.setattr(recoverable, "optimal", lambda *_: (math.nan, False))
+    monkeypatch.setattr(_rescue, "LAWS", dict.fromkeys(("LQR", "sign of stiff LQR"), Zero))
+    monkeypatch.setattr(_rescue, "ILQRMPC", lambda rig, **settings: Zero())
+    monkeypatch.setattr(_rescue, "optimal", lambda *_: (math.nan, False))
     rows = recoverable.run(job).rows
     assert {row["by"] for row in rows} == {"mine"}
     assert all(row["recoverable"] and not row["lqr"] and row["mpc"] == "no" for row in rows)
@@ -220,9 +221,7 @@ def test_the_shipped_table_is_of_the_starts_that_all_studies_draw():
     assert rows["index"].tolist() == list(range(len(rows)))
     shipped = recoverable.shipped()
     assert shipped[0.4].tolist() == rows["recoverable"].tolist()
-    for saved in (
-        dpend.simulate_many(RIG, law(), starts[:200], task=dpend.Balance()) for law in recoverable.LAWS.values()
-    ):
+    for saved in (dpend.simulate_many(RIG, law(), starts[:200], task=dpend.Balance()) for law in _rescue.LAWS.values()):
         assert (shipped[0.4][:200] | ~saved.success).all()
     assert {lam: len(known) for lam, known in shipped.items()}.items() >= {0.1: 1000, 0.2: 1000, 0.3: 1000}.items()
 
