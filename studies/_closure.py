@@ -82,10 +82,6 @@ def closure(module: str, names: Iterable[str], root: Path = ROOT) -> dict[str, s
         Definitions in it.
     root : Path
         The folder that holds the packages.
-
-    Returns
-    -------
-    dict
     """
     walk = _Walk(root, (*PACKAGES, module.partition(".")[0]))
     for name in names:
@@ -240,10 +236,6 @@ def kept_table(name: str, root: Path = ROOT) -> Path:
         The study, such as ``"recoverable"``; a literal, since the key of a result that reads it is found by its text.
     root : Path
         The folder that holds the packages.
-
-    Returns
-    -------
-    Path
     """
     installed = root / "studies" / "data" / f"{name}.csv"
     return installed if installed.exists() else root / "docs" / "results" / name / "rows.csv"

@@ -262,10 +262,6 @@ def styles(names: Iterable[str], known: Iterable[Contender] = CONTENDERS) -> dic
         Those in a table, in any order.
     known : iterable of Contender
         Those that have a style; the others get one in turn.
-
-    Returns
-    -------
-    dict
     """
     own_styles = cycle(_OWN)
     style = {contender.name: contender.style for contender in known}
@@ -305,10 +301,6 @@ class Options(_runner.Options):
         ----------
         task : {"balance", "swing-up"}
             The task.
-
-        Returns
-        -------
-        list of Contender
         """
         chosen = [contender for contender in self.known if not self.only or contender.name in self.only]
         return [contender for contender in (*chosen, *map(own, self.controller)) if task in contender.tasks]
@@ -325,10 +317,6 @@ def find(name: str, own_controller: Own | None = None, known: Iterable[Contender
         The ``own`` of a user's own controller.
     known : iterable of Contender
         Those that can take part beside it.
-
-    Returns
-    -------
-    Contender
 
     Raises
     ------

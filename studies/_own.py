@@ -69,10 +69,6 @@ def load_own(spec: str, rig: Rig) -> Loaded:
     rig : Rig
         The rig on which it is tried.
 
-    Returns
-    -------
-    Loaded
-
     Raises
     ------
     ValueError

@@ -133,7 +133,7 @@ class OnRig(Options):
         for change in self.set:
             name, _, value = change.partition("=")
             try:
-                changes[name] = float(value)
+                changes[name] = int(value) if value.isdigit() else float(value)  # delays are whole numbers
             except ValueError:
                 raise ValueError(f"--set must be name=number, such as mass1=.6; got {change!r}.") from None
         try:
@@ -202,10 +202,6 @@ def main(name: str, arguments: Sequence[str] | None = None) -> Table:
     arguments : sequence of str, optional
         The command line; left out, the program's own, and all work is done in processes of its own, so that Ctrl-C
         finds this one free.
-
-    Returns
-    -------
-    Table
     """
     study = cast(Study, importlib.import_module(name))
     console = Console(stderr=True, highlight=False, emoji=False)
@@ -239,10 +235,6 @@ def run_study(name: str, options: Options, executor: Executor | None = None) -> 
     executor : Executor, optional
         What does the jobs, such as a pool of processes or the client of a cluster; left out, this process does them
         one after the other, or as many processes as ``options.workers`` says.
-
-    Returns
-    -------
-    Table
 
     Raises
     ------
@@ -308,7 +300,7 @@ def _publish(study: Study, table: Table, options: Options, out: Path, short: str
             _write(out / f"{short}{added}.{options.format}", figure.savefig)
     tables = document(f"{short}: all tables", report.tables, f"A {QUICK}." if table.quick else "")
     for page, text in {"tables.md": tables, **report.pages}.items():
-        _write(out / page, partial(_write_text, text=text))
+        _write(out / page, partial(Path.write_text, data=text, encoding="utf-8"))
     if getattr(options, "films", False):
         for film, write in cast(Any, study).films(table).items():
             _write(out / film, write)
@@ -331,10 +323,6 @@ def _mark(figure: Figure) -> None:
 def _write(path: Path, write: Callable[[Path], object]) -> None:
     with archive.atomic(path) as part:
         write(part)
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8")
 
 
 # --------------------------------------------------------------------------------------------------------------- jobs

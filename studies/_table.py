@@ -58,10 +58,6 @@ class Table:
             Their name.
         **fields
             Values of columns by which jobs are chosen; left out, all.
-
-        Returns
-        -------
-        list of ndarray
         """
         jobs = self.where(**fields)["job"].unique()
         return [self.by_job[job][name] for job in jobs if name in self.by_job.get(job, {})]
@@ -134,10 +130,6 @@ def load(folder: Path) -> Table:
     ----------
     folder : Path
         Where :func:`save` wrote it.
-
-    Returns
-    -------
-    Table
     """
     meta = json.loads((folder / "meta.json").read_text(encoding="utf-8"))
     by_job: dict[int, dict[str, AnyArray]] = {}
@@ -157,10 +149,6 @@ def read_rows(file: Path, columns: Mapping[str, str] | None = None) -> pd.DataFr
         ``rows.csv``.
     columns : mapping of str to str, optional
         Types of columns; left out, as the values look.
-
-    Returns
-    -------
-    DataFrame
     """
     return pd.read_csv(
         file,

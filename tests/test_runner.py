@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tyro
 from matplotlib.figure import Figure
 
 import dpend
@@ -249,9 +250,10 @@ def test_a_kept_table_from_before_keys_were_kept_serves_nothing(kept, tmp_path):
 
 
 def test_a_rig_and_its_changes_are_part_of_the_work_and_a_column_of_the_table():
-    plant = _runner.OnRig(rig="pilco2011", set=("mass1=.6", "force_limit=20")).plant
-    assert plant.rig == dpend.rig("pilco2011").replace(mass1=0.6, force_limit=20.0)
-    assert _runner.plain_fields(Holding(plant)) == {"value": "pilco2011, mass1=.6, force_limit=20"}
+    command = ["--rig", "pilco2011", "--set", "mass1=.6", "--set", "actuator_delay=2"]
+    plant = tyro.cli(_runner.OnRig, args=command).plant
+    assert plant.rig == dpend.rig("pilco2011").replace(mass1=0.6, actuator_delay=2)
+    assert _runner.plain_fields(Holding(plant)) == {"value": "pilco2011, mass1=.6, actuator_delay=2"}
     keys = {_runner.key("tests.study_example", Holding(_runner.OnRig(set=(change,)).plant))
             for change in ("mass1=.5", "mass1=.6", "mass1=.60001")}  # fmt: skip
     assert len(keys) == 3
