@@ -1,7 +1,7 @@
 """How long a robustness study of a state-feedback controller takes: batches beside one run after the other.
 
-``python -m benchmarks.robustness`` lets LQR meet RealAIGym's six axes as the study does it, in at least as many runs of
-10 s as RealAIGym's 722, and beside it runs of the same kind one by one, in turns; ``--quick`` takes fewer turns.
+``python -m benchmarks.robustness`` evaluates LQR on RealAIGym's six axes as the study does it, in at least as many
+runs of 10 s as RealAIGym's 722, and beside it runs of the same kind one by one, in turns; ``--quick`` takes fewer.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rich.console import Console
 import dpend
 from benchmarks.simulator import Job, pin_to_one_core, race, report, version_of
 from controllers import LQR
-from studies._entrants import RIG
+from studies._field import RIG
 from studies._perturbations import AXES, NOMINAL, SECONDS, measure, task_of
 
 THEIRS = 722

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
+from dpend import archive
 from dpend.archive import atomic
 from dpend.controller import Controller
 from dpend.metrics import force_metrics
@@ -28,12 +29,13 @@ from dpend.rig import Rig
 from dpend.simulate import checked_seed, simulate_many
 from dpend.tasks import Balance, SwingUp
 
-from .policies import MLPPolicy, Network, load_policy
+from .policies import MLPPolicy, Network, load_policy, made_policy
 from .recipes import EPISODE, INSTALL, NEEDED, DeepRecipe
 from .shaping import observation_scales
 from .training import Cost, Outcome, Progress, Seed, Trail, Training, samples_within
 
 _EVALUATION_STREAM = 7159  # sets the starts of evaluation apart from others drawn with the same seed
+_PACKED = "dpend deep trainings 1"
 _RETURNS = 20  # episodes of an evaluation in another environment
 
 
@@ -255,19 +257,124 @@ def read_training(folder: Path) -> Training:
     return _training(read_recipe(folder), load_policy(folder / "policy.npz"), read_curve(folder / "curve.csv"))
 
 
-def read_recipe(folder: Path) -> DeepRecipe:
-    """Return the recipe of a training in a folder, whatever its age.
+def read_recipe(place: Path) -> DeepRecipe:
+    """Return the recipe of a training in a folder, or of those in a file or a folder of folders, whatever its age.
 
     Parameters
     ----------
-    folder : Path
-        With its ``recipe.json``.
+    place : Path
+        As for :func:`read_training` or :func:`read_trainings`.
 
     Returns
     -------
     DeepRecipe
     """
-    return DeepRecipe.from_dict(json.loads((folder / "recipe.json").read_text(encoding="utf-8"))["recipe"])
+    if place.is_dir():
+        file = place / "recipe.json"
+        return DeepRecipe.from_dict(
+            _record(file if file.exists() else next(iter(_folders(place).values())) / file.name)
+        )
+    with archive.opened(place, _PACKED) as (header, _):
+        return DeepRecipe.from_dict(header["recipe"])
+
+
+def read_trainings(place: str | Path) -> dict[int, Training]:
+    """Return the trainings of one recipe by their seeds, without the policies on the way.
+
+    Parameters
+    ----------
+    place : str or Path
+        A file that :func:`pack` wrote, or a folder of folders ``seed-10``, ``seed-11``, as ``python -m rl.train``
+        leaves; those without a policy yet are left out.
+
+    Returns
+    -------
+    dict
+
+    Raises
+    ------
+    OSError
+        If the file is not there.
+    ValueError
+        If it holds something else, or is damaged.
+    """
+    place = Path(place)
+    if place.is_dir():
+        return {seed: read_training(folder) for seed, folder in _folders(place).items()}
+    with archive.opened(place, _PACKED) as (header, arrays):
+        return {
+            int(seed): _unpacked(header["recipe"], policy, {
+                name.removeprefix(f"{seed}/"): array for name, array in arrays.items() if name.startswith(f"{seed}/")
+            })
+            for seed, policy in header["policies"].items()
+        }  # fmt: skip
+
+
+def pack(folder: Path, file: Path) -> Path:
+    """Write the trainings in a folder, all of one recipe, to one file, which :func:`read_trainings` reads.
+
+    Parameters
+    ----------
+    folder : Path
+        As for :func:`read_trainings`.
+    file : Path
+        Where; it holds the recipe, and of each seed the evaluation curve and the policy with its provenance.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds no training, or trainings of several recipes.
+    """
+    folders = _folders(folder)
+    if len({json.dumps(read_recipe(each).to_dict()) for each in folders.values()}) != 1:
+        raise ValueError(f"{folder} must hold trainings of one recipe, in folders such as seed-10.")
+    recipe = _record(next(iter(folders.values())) / "recipe.json")
+    policies, arrays = {}, {}
+    for seed, training in read_trainings(folder).items():
+        about = {name: value for name, value in training.policy.about.items() if name != "recipe"}
+        policies[seed] = {"kind": training.policy.kind, "about": about}
+        arrays |= {f"{seed}/{name}": training.curve[name] for name in Evaluation._fields}
+        arrays |= {f"{seed}/policy/{name}": array for name, array in training.policy.arrays().items()}
+    return archive.write(file, _PACKED, {"recipe": recipe, "policies": policies}, arrays)
+
+
+def kept_trainings(folder: Path) -> dict[str, Path]:
+    """Return where the trainings of each recipe are, by name.
+
+    Parameters
+    ----------
+    folder : Path
+        Of files ``NAME.npz`` that :func:`pack` wrote and of folders ``NAME`` of trainings; of both the latter count.
+
+    Returns
+    -------
+    dict
+        In the order of the names, for :func:`read_trainings`.
+    """
+    places = {file.stem: file for file in folder.glob("*.npz")}
+    return dict(sorted((places | {place.name: place for place in folder.glob("*/") if _folders(place)}).items()))
+
+
+def _folders(place: Path) -> dict[int, Path]:
+    """Return the folders of trainings in a folder, by seed."""
+    found = [file.parent for file in place.glob("seed-*/policy.npz")]
+    return dict(sorted((int(folder.name.removeprefix("seed-")), folder) for folder in found))
+
+
+def _record(file: Path) -> dict[str, Any]:
+    return json.loads(file.read_text(encoding="utf-8"))["recipe"]
+
+
+def _unpacked(recipe: dict[str, Any], saved: dict[str, Any], arrays: archive.Arrays) -> Training:
+    columns = [arrays.pop(name).tolist() for name in Evaluation._fields]
+    weights = {name.removeprefix("policy/"): array for name, array in arrays.items()}
+    policy = made_policy(saved["kind"], saved["about"] | {"recipe": recipe}, weights)
+    return _training(DeepRecipe.from_dict(recipe), policy, [Evaluation(*line) for line in zip(*columns, strict=True)])
 
 
 def _training(

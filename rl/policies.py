@@ -445,9 +445,14 @@ def load_policy(policy: str | Path) -> Policy:
             known = [file.stem for file in _TRAINED.glob("*.npz")]
             raise FileNotFoundError(f"There is no file and no shipped policy {policy!r}.{suggestion(policy, known)}")
     with archive.opened(path, _FORMAT) as (header, arrays):
-        if header["kind"] not in _KINDS:
-            raise ValueError(f"an unknown kind of policy, {header['kind']!r}")
-        return _KINDS[header["kind"]](about=header["about"], **arrays)
+        return made_policy(header["kind"], header["about"], arrays)
+
+
+def made_policy(kind: str, about: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Policy:
+    """Return the policy of a kind, with a provenance and what its ``arrays`` returned; refuse a kind unknown."""
+    if kind not in _KINDS:
+        raise ValueError(f"an unknown kind of policy, {kind!r}")
+    return _KINDS[kind](about=about, **arrays)
 
 
 def _shortest(array: Array) -> npt.NDArray[np.floating[Any]]:

@@ -30,7 +30,7 @@ import dpend
 from dpend.rig import Rig
 from dpend.workers import pool
 
-from .deep import Evaluation, train_deep
+from .deep import Evaluation, pack, train_deep
 from .linear_q import LinearQLearning
 from .lspi import LSPI
 from .policies import Policy
@@ -74,6 +74,8 @@ class DeepOptions(Seeds):
     recipe: OmitArgPrefixes[DeepRecipe]
     workers: int = 1
     """Processes that share the seeds."""
+    pack: Path | None = None
+    """File to which all trainings in the folder are written in the end, such as NAME.npz; left out, none."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -203,7 +205,11 @@ def _train(options: DeepOptions, recipe: DeepRecipe, out: Path, command: str, co
         spent = f"{curve['steps'][-1]:,}", f"{curve['cpu_seconds'][-1]:.0f}", f"{curve['wall_seconds'][-1]:.0f}"
         table.add_row(str(seed), f"{curve['steps'][best]:,}", score, *spent)
     Console().print(table)
-    Console().print(f"Policies, curves and settings are in {out}/.", soft_wrap=True, highlight=False)
+    if options.pack is not None:
+        pack(out, options.pack)
+    Console().print(
+        f"Policies, curves and settings are in {options.pack or f'{out}/'}.", soft_wrap=True, highlight=False
+    )
     return [training.policy for training in done.values()]
 
 

@@ -1,21 +1,18 @@
-"""List the studies: ``python -m studies``."""
+"""List the studies, one line each: ``python -m studies``."""
 
 import ast
+import shutil
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
+from ._runner import studies
 
-from ._study import studies
-
-
-def _flowing(paragraph: str) -> str:
-    return " ".join(paragraph.split())
-
-
-table = Table("command", "question and finding", show_lines=True)
+width = shutil.get_terminal_size().columns
+print(f"{'python -m':<26} min  question")
 for name in studies():
-    source = Path(__file__).parent / f"{name.removeprefix('studies.')}.py"
-    question, *_, finding = (ast.get_docstring(ast.parse(source.read_text())) or "").split("\n\n")
-    table.add_row(f"python -m {name}", f"{_flowing(question)}\n{_flowing(finding)}")
-Console().print(table)
+    source = ast.parse((Path(__file__).parent / f"{name.removeprefix('studies.')}.py").read_text(encoding="utf-8"))
+    question = " ".join((ast.get_docstring(source) or "").split("\n\n")[0].split())
+    assigned = {ast.unparse(each.targets[0]): each.value for each in source.body if isinstance(each, ast.Assign)}
+    minutes = ast.literal_eval(assigned["MINUTES"]) if "MINUTES" in assigned else float("nan")
+    line = f"{name:<26}{minutes:>4g}  {question}"
+    print(line if len(line) <= width else f"{line[: width - 1]}…")
+print("Minutes are those of the full study on two cores; --quick ends in seconds.")

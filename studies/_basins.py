@@ -18,6 +18,7 @@ import dpend
 from dpend.params import Array
 
 from . import recoverable
+from ._figures import facets
 
 EXTENT = 0.8
 """Greatest angle on a map, rad; as on that of ``recoverable``."""
@@ -33,9 +34,9 @@ def starts(side: int) -> Array:
     return x
 
 
-def basin(controller: dpend.Controller, side: int, seed: int) -> npt.NDArray[np.bool_]:
-    """Return where a controller balances ``gustafsson2016``: a map ``(side, side)`` of truth values, by θ2 and θ1."""
-    runs = dpend.simulate_many(recoverable.RIG, controller, starts(side), task=dpend.Balance(), seed=seed)
+def basin(rig: dpend.Rig, controller: dpend.Controller, side: int, seed: int) -> npt.NDArray[np.bool_]:
+    """Return where a controller balances a rig: a map ``(side, side)`` of truth values, by θ2 and θ1."""
+    runs = dpend.simulate_many(rig, controller, starts(side), task=dpend.Balance(), seed=seed)
     return runs.success.reshape(side, side)
 
 
@@ -49,8 +50,8 @@ def part_saved(saved: npt.NDArray[Any]) -> float:
     return float(saved.ravel()[least <= recoverable.FORCE].mean())
 
 
-def plot_basins(basins: Mapping[str, Array], columns: int = 4) -> Figure:
-    """Draw basins side by side, each over what can be saved at all.
+def plot_basins(basins: Mapping[str, Array], columns: int = 4, known: bool = True) -> Figure:
+    """Return maps of basins side by side, each over what can be saved at all where that is known.
 
     Parameters
     ----------
@@ -58,29 +59,30 @@ def plot_basins(basins: Mapping[str, Array], columns: int = 4) -> Figure:
         By name: the share of trainings whose controller saves a start, by θ2 and θ1.
     columns : int
         Maps in a row.
+    known : bool
+        Whether they are of ``gustafsson2016``, for which it is known.
 
     Returns
     -------
     Figure
     """
     rows = -(-len(basins) // columns)
-    figure = Figure(figsize=(6.8, 1.65 * rows + 0.75), layout="constrained")
-    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    figure, axes = facets(rows, columns, height=1.65 * rows + 0.75, sharex=True, sharey=True)
     for axis, (name, saved) in zip(axes.flat, basins.items(), strict=False):
-        _plot_basin(axis, saved)
-        axis.set_title(f"{name}: {100 * part_saved(saved):.0f} %", fontsize=7.5, pad=3)
+        _plot_basin(axis, saved, known)
+        axis.set_title(f"{name}: {100 * part_saved(saved):.0f} %" if known else name, fontsize=7.5, loc="center")
     for place, axis in enumerate(axes.flat):
         axis.tick_params(labelbottom=place + columns >= len(basins))  # nothing below it
         axis.set_visible(place < len(basins))
-    figure.supxlabel("θ1 (rad)", fontsize=9)
-    figure.supylabel("θ2 (rad)", fontsize=9)
+    figure.supxlabel("θ1 (rad)", fontsize=8.5)
+    figure.supylabel("θ2 (rad)", fontsize=8.5)
     handles = [
         Patch(facecolor=_SHADES(_shade(1.0)), label="saved"),
         Patch(facecolor=_SHADES(_shade(0.5)), label="by half of the trainings"),
         Patch(facecolor=_RIM, label="could be saved"),
         Line2D([], [], color="k", lw=1.2, label=f"least force {recoverable.FORCE:g} N"),
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
+    figure.legend(handles=handles if known else handles[:2], loc="outside upper center", ncols=4)
     return figure
 
 
@@ -89,17 +91,16 @@ def _shade(share: Any) -> Any:
     return 0.2 + 0.7 * share
 
 
-def _plot_basin(axis: Axes, saved: Array) -> None:
-    angles, force = recoverable.shipped_map()
-    axis.contourf(angles, angles, force, [0.0, recoverable.FORCE], colors=[_RIM])
+def _plot_basin(axis: Axes, saved: Array, known: bool) -> None:
+    if known:
+        angles, force = recoverable.shipped_map()
+        axis.contourf(angles, angles, force, [0.0, recoverable.FORCE], colors=[_RIM])
+        axis.contour(angles, angles, force, [recoverable.FORCE], colors="k", linewidths=1.0, zorder=3)
     step = 2 * EXTENT / max(len(saved) - 1, 1)
     outer = EXTENT + step / 2
     axis.imshow(
         np.ma.masked_where(saved == 0, _shade(saved)),
         cmap=_SHADES, vmin=0, vmax=1, origin="lower", extent=(-outer, outer, -outer, outer), zorder=2,
     )  # fmt: skip
-    axis.contour(angles, angles, force, [recoverable.FORCE], colors="k", linewidths=1.0, zorder=3)
     limits = -EXTENT - 0.03, EXTENT + 0.03
     axis.set(xlim=limits, ylim=limits, xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5), aspect="equal")
-    axis.tick_params(labelsize=7)
-    axis.grid(alpha=0.3)

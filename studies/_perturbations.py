@@ -1,8 +1,8 @@
-"""What is done to a rig to see who bears it: RealAIGym's six axes, plants wrong in everything at once, real sensors.
+"""How a rig is perturbed: RealAIGym's six axes of robustness, plants wrong in everything at once, real sensors.
 
-The rig is the one that all believe in, :data:`~studies._entrants.RIG`, and is changed behind the controller's back.
-Whoever meets a perturbation meets it from the same starts, with the same noise and the same pushes; those who meet
-fewer starts or plants meet the first ones.
+The rig is the one that all contenders believe in, :data:`~studies._field.RIG`, and is changed without their knowledge.
+Every contender is evaluated from the same starts, with the same noise and the same pushes; fewer starts or plants are
+the first of more.
 
 Source of the axes: the robustness leaderboard (v2) of F. Wiebe et al., *Open Source Dual-Purpose Acrobot and Pendubot
 Platform*, 2023, as its code has them (GitHub dfki-ric-underactuated-lab/double_pendulum).  Torques of its 6 N m motors
@@ -24,8 +24,8 @@ from controllers import EKF, UKF, Differences, Predictor, WithEstimator
 from dpend import Balance, Controller, Rig, SwingUp
 from dpend.params import Array
 
-from ._entrants import RIG, Task
-from ._intervals import Rate, wilson
+from ._estimates import Estimate, mean_share
+from ._field import RIG, TaskName
 
 SECONDS = 10.0
 """How long each run lasts, s; RealAIGym's."""
@@ -53,7 +53,7 @@ class Axis:
     pulses : bool
         Whether pushes grow with the level.
     theirs : float
-        Least magnitude that RealAIGym has too.
+        Least magnitude that is in RealAIGym's lists too.
     """
 
     name: str
@@ -80,7 +80,7 @@ out."""
 
 
 def _resolved(params: dpend.Params) -> dict[str, float]:
-    """Return masses, lengths, centres and inertias, none left to follow another."""
+    """Return masses, lengths, centres and inertias, none left to its default."""
     (com1, com2), (inertia1, inertia2) = params.centers, params.inertias
     named = {name: getattr(params, name) for name in ("cart_mass", "mass1", "mass2", "length1")}
     named |= {"com1": com1, "com2": com2, "inertia1": inertia1, "inertia2": inertia2}
@@ -96,7 +96,7 @@ def _wrong(name: str) -> Change:
     return lambda levels: fixed | {name: PARAMETERS[name] * (1 + levels)}
 
 
-def _rubbing(name: str) -> Change:
+def _friction(name: str) -> Change:
     return lambda levels: {name: levels}
 
 
@@ -131,7 +131,7 @@ AXES: tuple[Axis, ...] = (
         for name in PARAMETERS
     ),
     *(
-        Axis(name=name, group="model", levels=tuple(most * np.arange(1, 7) / 6), changes=_rubbing(name), words=words)
+        Axis(name=name, group="model", levels=tuple(most * np.arange(1, 7) / 6), changes=_friction(name), words=words)
         for (name, most), words in zip(FRICTIONS.items(), ("N s/m", "N m s", "N m s", "N"), strict=True)
     ),
     Axis(
@@ -170,7 +170,7 @@ class Pulses:
     r"""Six Gaussian pushes a run, :math:`\pm A e^{-(t-\mu)^2/2\sigma^2}`, two each on cart, link 1 and link 2.
 
     Of one start the moments, at least 1 s apart within 1 and 9 s, the widths, :math:`\sigma \sim U[0.05, 0.1]` s, and
-    the signs are the same at every level and for everyone.
+    the signs are the same at every level and for every contender.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class Pulses:
         return push
 
 
-def task_of(task: Task, seconds: float = SECONDS) -> Balance | SwingUp:
+def task_of(task: TaskName, seconds: float = SECONDS) -> Balance | SwingUp:
     """Return a task: balance from λ = 0.1, or swing up from hanging, both angles moved by up to 0.1 rad."""
     steps = round(seconds / RIG.sample_time)
     return (
@@ -216,8 +216,8 @@ def _starts(task: Balance | SwingUp, n: int, seed: int) -> Array:
     return task.starts(np.random.default_rng([seed, 1]), n, RIG)
 
 
-def meet(controller: Controller, task: Balance | SwingUp, axis: Axis, starts: int, seed: int) -> Array:
-    """Let a controller meet every level of an axis from every start.
+def evaluate(controller: Controller, task: Balance | SwingUp, axis: Axis, starts: int, seed: int) -> Array:
+    """Return where a controller succeeds at every level of an axis, from every start.
 
     Parameters
     ----------
@@ -251,8 +251,8 @@ def meet(controller: Controller, task: Balance | SwingUp, axis: Axis, starts: in
     return runs.success.reshape(starts, len(levels)).astype(np.float64)
 
 
-def measure(controller: Controller, task: Task, starts: int = 20, seed: int = 0) -> dict[str, Array]:
-    """Let a controller meet the nominal rig and RealAIGym's six axes.
+def measure(controller: Controller, task: TaskName, starts: int = 20, seed: int = 0) -> dict[str, Array]:
+    """Return where a controller succeeds on the nominal rig and along RealAIGym's six axes.
 
     Parameters
     ----------
@@ -270,28 +270,28 @@ def measure(controller: Controller, task: Task, starts: int = 20, seed: int = 0)
     dict
         Outcomes ``(starts, levels)`` by the name of the axis, for :func:`score`.
     """
-    return {axis.name: meet(controller, task_of(task), axis, starts, seed) for axis in (NOMINAL, *AXES)}
+    return {axis.name: evaluate(controller, task_of(task), axis, starts, seed) for axis in (NOMINAL, *AXES)}
 
 
 def of_groups(outcomes: Mapping[str, Array], axes: Iterable[Axis] = AXES) -> dict[str, Array]:
-    """Put the outcomes of each of the six side by side: ``(starts, settings)`` by group."""
+    """Return the outcomes of each of the six side by side: ``(starts, settings)`` by group."""
     grouped: dict[str, list[Array]] = {}
     for axis in axes:
         grouped.setdefault(axis.group, []).append(outcomes[axis.name])
     return {group: np.concatenate(arrays, axis=1) for group, arrays in grouped.items()}
 
 
-def score(outcomes: Mapping[str, Array]) -> Rate:
+def score(outcomes: Mapping[str, Array]) -> Estimate:
     """Return one number for robustness: success in perturbed settings, the mean over the six axes.
 
     Parameters
     ----------
     outcomes : mapping
-        Outcomes ``(starts, levels)`` by the name of the axis; what :func:`measure` gives.
+        Outcomes ``(starts, levels)`` by the name of the axis; what :func:`measure` returns.
 
     Returns
     -------
-    Rate
+    Estimate
         The nominal level is not counted.  The interval is Student's over starts, or Wilson's of all runs where that is
         wider.
 
@@ -306,28 +306,6 @@ def score(outcomes: Mapping[str, Array]) -> Rate:
     )
 
 
-def mean_share(shares: npt.ArrayLike, runs: int) -> Rate:
-    """Return the mean over starts of a share of successes, the start being the unit of replication.
-
-    Parameters
-    ----------
-    shares : array_like (n,)
-        A share for each start, within 0 and 1.
-    runs : int
-        Runs in all.
-
-    Returns
-    -------
-    Rate
-        Student's interval over starts, cut off at 0 and 1, or Wilson's of all runs where that is wider.
-    """
-    each = np.asarray(shares, dtype=np.float64)
-    mean = float(each.mean())
-    low, high = wilson(round(mean * runs), runs)[1:]
-    half = stats.t.ppf(0.975, len(each) - 1) * each.std(ddof=1) / np.sqrt(len(each)) if len(each) > 1 else 0.0
-    return Rate(mean, min(low, mean, max(0.0, mean - half)), max(high, mean, min(1.0, mean + half)))
-
-
 def realaigym(outcomes: Mapping[str, Array]) -> float:
     """Return the score as RealAIGym counts it, to be read beside its leaderboard with care.
 
@@ -337,7 +315,7 @@ def realaigym(outcomes: Mapping[str, Array]) -> float:
     Parameters
     ----------
     outcomes : mapping
-        Outcomes ``(starts, levels)`` by the name of the axis; what :func:`measure` gives.
+        Outcomes ``(starts, levels)`` by the name of the axis; what :func:`measure` returns.
 
     Returns
     -------
@@ -365,7 +343,7 @@ UNCERTAIN = (*_FACTORS, *FRICTIONS)
 
 
 def plants(n: int, seed: int) -> dict[str, Array]:
-    r"""Draw plants that are wrong in everything at once: a scrambled Sobol sequence.
+    r"""Return plants that are wrong in everything at once: a scrambled Sobol sequence.
 
     Masses, lengths and the force limit are within a fifth of what is believed; the centres within a fifth of the
     middle of their link; the inertias are those of the links as rods, :math:`m L^2/12`; and frictions are anything
@@ -392,8 +370,8 @@ def plants(n: int, seed: int) -> dict[str, Array]:
     return found | {name: most * drawn[name] for name, most in FRICTIONS.items()}
 
 
-def meet_plants(controller: Controller, task: Balance | SwingUp, n: int, starts: int, seed: int) -> Array:
-    """Let a controller, made for the nominal rig, meet plants from every start.
+def evaluate_on_plants(controller: Controller, task: Balance | SwingUp, n: int, starts: int, seed: int) -> Array:
+    """Return where a controller that is made for the nominal rig succeeds on plants.
 
     Parameters
     ----------
@@ -479,10 +457,10 @@ def views(axis: Axis) -> tuple[str, ...]:
     return tuple(name for name in VIEWS if "Predictor" not in name or axis.name == "delay")
 
 
-def meet_sensors(
+def evaluate_with_sensors(
     controller: Controller, task: Balance | SwingUp, axis: Axis, view: str, starts: int, seed: int
 ) -> Array:
-    """Let a controller meet every level of a sensor axis through one of the views.
+    """Return where a controller succeeds at every level of a sensor axis, through one of the views.
 
     Parameters
     ----------

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 import dpend
 from dpend.params import Array
+
+from ._table import Table
 
 EDGES = np.geomspace(1e-8, 1e2, 1001)
 """Limits of the bins, s: a hundred to a decade, so a quantile is known within 2.4 %."""
@@ -39,7 +41,7 @@ class StepTimes(NamedTuple):
 
     @classmethod
     def of(cls, runs: dpend.Runs, sample_time: float) -> StepTimes:
-        """Count the steps of runs."""
+        """Return the counts of the steps of runs."""
         lasted = np.arange(1, runs.step_time.shape[1]) < runs.steps[:, None]
         steps = runs.step_time[:, 1:][lasted]
         counts, _ = np.histogram(np.clip(steps, EDGES[0], EDGES[-1]), EDGES)
@@ -47,12 +49,18 @@ class StepTimes(NamedTuple):
         return cls(counts, float(steps.max(initial=0.0)), late, runs.step_time[:, 0].copy())
 
     @classmethod
-    def joined(cls, traces: Iterable[Mapping[str, Array]]) -> StepTimes:
-        """Take together what several jobs have saved."""
-        counts, longest, late, first = zip(*([trace[name] for name in _NAMES] for trace in traces), strict=True)
-        return cls(np.stack(counts).sum(axis=0), float(max(longest)), int(sum(late)), np.concatenate(first))
+    def joined(cls, table: Table, /, **fields: Any) -> StepTimes:
+        """Return the times of all jobs of a table with given values of columns that saved some; none has no steps."""
+        counts, longest, late, first = (table.arrays(name, **fields) for name in _NAMES)
+        none = np.zeros(len(EDGES) - 1, dtype=np.int64)
+        return cls(
+            np.sum([none, *counts], axis=0),
+            max(map(float, longest), default=0.0),
+            sum(map(int, late)),
+            np.concatenate([np.empty(0), *first]),
+        )
 
-    def traces(self) -> dict[str, Array]:
+    def arrays(self) -> dict[str, Array]:
         """Return what a job saves."""
         return {name: np.asarray(value) for name, value in zip(_NAMES, self, strict=True)}
 

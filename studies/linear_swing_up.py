@@ -25,8 +25,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
-from rich.console import Group, RenderableType
-from rich.table import Table
 from scipy.linalg import solve_discrete_are
 
 import dpend
@@ -36,28 +34,37 @@ from rl import LinearQLearning, Outcome
 from rl.features import CART_FEATURES, TABLE1
 from rl.linear_q import REPORT_FORCES
 
-from . import _study
-from ._intervals import wilson
-from ._study import Job, Result, Traces
+from . import _runner
+from ._estimates import QUARTILES, share
+from ._figures import COLOURS, band, facets
+from ._runner import Report, Result, Table
+from ._tables import cell, sheet
 
+MINUTES = 7
+
+RIG = dpend.rig("gustafsson2016")
 EPSILONS = (0.01, 0.1, 0.3)
 ALPHAS = (1e-6, 1e-5, 1e-4, 1e-3)
 FORCES = {"the report's": REPORT_FORCES, "0, ±10, ±40": (0.0, 10.0, -10.0, 40.0, -40.0), "±40": (40.0, -40.0)}
 WEIGHTS = {"zero": 0.0, "N(0, 1)": 1.0}
-FEATURES = ("all 18", "without the cart's six", "scaled")
+FEATURES = {
+    "all 18": (1.0,) * len(TABLE1),
+    "without the cart's six": tuple(0.0 if i in CART_FEATURES else 1.0 for i in range(len(TABLE1))),
+    "scaled": LinearQLearning.tuned(RIG).scales,
+}
 
 LAWS = {"K·s": False, "sign of K·s": True}
 STATES = {"angles as they are": False, "nearest turn": True}
 STARTS = ("side", "hanging")
 FORCE = 40.0
 """Largest force, and that of the sign, N."""
-_LONG, _NEAR, _STARTS_NEAR = 1000, 0.05, 16
+_NEAR, _STARTS_NEAR = 0.05, 16
 _ROWS = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_study.Options):
-    """What can be told on the command line."""
+class Options(_runner.Options):
+    """Options of the command line."""
 
     trainings: int = 2
     """Seeds of each setting of Q-learning."""
@@ -76,27 +83,26 @@ class Options(_study.Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
-    """One training, or the best gain of one search."""
+class Job:
+    """Q-learning with one choice of features and action set, or a search over the gains of one law from one start."""
 
     part: str
-    """learning or search."""
-    setting: str
-    start: str
-    training: int
-    outcome: str
-    """How the training ended; for a search, whether its best gain ends upright from rest, simulated alone: "up", or
-    "up by rounding" if not also with a quarter of the integration step, or "not up"."""
-    episodes: int
-    """Learning episodes, or gains tried."""
-    successes: int
-    """Learning episodes with a second upright, or gains that ended so from rest."""
-    longest: float
-    """Longest time upright without a break, s."""
-    near: int
-    """Successes of the best gain from 1000 starts within ±0.05 rad; 0 for trainings."""
-    gain: str
-    """The best gain, N per unit of each state, or its direction; a dash for trainings."""
+    """learning or search; what belongs to the other is empty or zero."""
+    seed: int
+    start: str = "side"
+    features: str = ""
+    forces: str = ""
+    trainings: int = 0
+    """Seeds of each setting of Q-learning."""
+    budget: int = 0
+    """Episodes of each training."""
+    law: str = ""
+    state: str = ""
+    candidates: int = 0
+    generations: int = 0
+    strategies: int = 0
+    starts_near: int = 0
+    """Fresh starts on which the best gain is tried."""
 
 
 class LinearLaw:
@@ -128,66 +134,51 @@ class LinearLaw:
         return act
 
 
-def _task(start: str, spread: float = 0.0) -> dpend.SwingUp:
-    return dpend.SwingUp(start=start, angle_spread=spread)
+def _task(start: str, angle_spread: float = 0.0) -> dpend.SwingUp:
+    return dpend.SwingUp(start=start, angle_spread=angle_spread)
 
 
 def jobs(options: Options) -> list[Job]:
-    """List the work: Q-learning by features and action set, and the searches."""
-    learning = [Job(f"learning, {features}, {forces}") for features in FEATURES for forces in FORCES]
-    search = [Job(f"search, {start}, {law}, {state}") for start in STARTS for law in LAWS for state in STATES]
-    return [*learning[:1], *search[:1]] if options.quick else [*learning, *search]
-
-
-def run(job: Job, options: Options) -> Result:
-    """Train, or search."""
-    part, _, setting = job.setting.partition(", ")
-    return _learn(setting, options) if part == "learning" else _search(setting, options)
-
-
-def _learn(setting: str, options: Options) -> Result:
-    rig = dpend.rig("gustafsson2016")
-    features, _, forces = setting.partition(", ")
-    scales = {
-        "all 18": (1.0,) * len(TABLE1),
-        "without the cart's six": tuple(0.0 if i in CART_FEATURES else 1.0 for i in range(len(TABLE1))),
-        "scaled": LinearQLearning.tuned(rig).scales,
-    }[features]
+    """List the work: the searches, and Q-learning by features and action set."""
     trainings, budget = (1, 5) if options.quick else (options.trainings, options.training_episodes)
+    few = 64, 2, 1, 20
+    sizes = few if options.quick else (options.candidates, options.generations, options.strategies, 1000)
+    named = dict(zip(("candidates", "generations", "strategies", "starts_near"), sizes, strict=True))
+    search = [
+        Job(part="search", seed=options.seed, start=start, law=law, state=state, **named)
+        for start in STARTS for law in LAWS for state in STATES
+    ]  # fmt: skip
+    learning = [
+        Job(part="learning", seed=options.seed, features=each, forces=forces, trainings=trainings, budget=budget)
+        for each in FEATURES for forces in FORCES
+    ]  # fmt: skip
+    return [*search[:1], *learning[:1]] if options.quick else [*search, *learning]
+
+
+def run(job: Job) -> Result:
+    """Train, or search: a row for each training, or for the best gain."""
+    return _learn(job) if job.part == "learning" else _search(job)
+
+
+def _learn(job: Job) -> Result:
     rows, curves = [], []
-    for epsilon, alpha, (weights, spread) in itertools.product(EPSILONS, ALPHAS, WEIGHTS.items()):
+    for epsilon, alpha, (weights, init_std) in itertools.product(EPSILONS, ALPHAS, WEIGHTS.items()):
         learner = LinearQLearning(
-            rig=rig,
-            task=_task("side"),
-            scales=scales,
-            forces=FORCES[forces],
-            epsilon=epsilon,
-            alpha=alpha,
-            spread=spread,
-            max_episodes=budget,
-        )
-        for k in range(trainings):
-            training = learner.train([options.seed, 12, k])
-            succeeded = training.upright >= round(learner.task.hold / rig.sample_time)
+            RIG, task=_task(job.start), scales=FEATURES[job.features], forces=FORCES[job.forces], epsilon=epsilon,
+            alpha=alpha, init_std=init_std, max_episodes=job.budget,
+        )  # fmt: skip
+        for k in range(job.trainings):
+            training = learner.train([job.seed, 12, k])
+            upright = training.curve["upright"]
             rows.append(
-                Row(
-                    part="learning",
-                    setting=f"{setting}; ε = {epsilon:g}, α = {alpha:g}, w0 {weights}",
-                    start="side",
-                    training=k,
-                    outcome=training.outcome.name.lower().replace("_", " "),
-                    episodes=training.episodes,
-                    successes=int(succeeded.sum()),
-                    longest=round(float(training.upright.max(initial=0) * rig.sample_time), 4),
-                    near=0,
-                    gain="-",
-                )
-            )
+                {"epsilon": epsilon, "alpha": alpha, "weights": weights, "training": k,
+                 "outcome": training.outcome.name.lower().replace("_", " "), "episodes": training.cost.episodes,
+                 "successes": int((upright >= round(learner.task.hold / RIG.sample_time)).sum()),
+                 "longest": round(float(upright.max(initial=0) * RIG.sample_time), 4), "near": 0}
+            )  # fmt: skip
             if training.outcome is Outcome.BUDGET_SPENT:
-                curves.append(training.rewards / training.lengths)
-    if not curves:
-        return Result(rows)
-    return Result(rows, {"rewards": np.quantile(curves, (0.25, 0.5, 0.75), axis=0)})
+                curves.append(training.curve["reward"] / training.curve["length"])
+    return Result(rows, {"rewards": np.quantile(curves, QUARTILES, axis=0)} if curves else {})
 
 
 class Score(NamedTuple):
@@ -203,19 +194,19 @@ class Score(NamedTuple):
 
 def _scores(K: Array, x0: Array, law: str, state: str, horizon: int) -> Score:
     """Roll every gain ``(n, 6)`` out from its start ``(n, 6)``."""
-    rig, task = dpend.rig("gustafsson2016"), _task("hanging")
+    task = _task("hanging")
     longest, final = np.zeros(len(K)), np.zeros(len(K))
     away_least, lasted = np.full(len(K), np.inf), np.zeros(len(K))
     for first in range(0, len(K), _ROWS):
         rows = np.arange(first, min(first + _ROWS, len(K)))
-        stepper = dpend.Stepper(rig, len(rows))
+        stepper = dpend.Stepper(RIG, len(rows))
         x = stepper.reset(x0[rows])
         held = np.zeros(len(rows))
         act = LinearLaw(K[rows], law, state).start(len(rows), np.random.default_rng(0))
         for k in range(horizon):
-            x = stepper.step(act(k * rig.sample_time, x))
-            on = task.ended(x, rig) == 0
-            held = np.where(task.upright(x) & on, held + rig.sample_time, 0.0)
+            x = stepper.step(act(k * RIG.sample_time, x))
+            on = task.ended(x, RIG) == 0
+            held = np.where(task.upright(x) & on, held + RIG.sample_time, 0.0)
             longest[rows] = np.maximum(longest[rows], held)
             final[rows] = held
             away = np.abs(dpend.wrap(x[:, 1:3])).sum(axis=1) + 0.15 * np.abs(x[:, 4:]).sum(axis=1)
@@ -225,11 +216,11 @@ def _scores(K: Array, x0: Array, law: str, state: str, horizon: int) -> Score:
                 rows, held, x = rows[on], held[on], x[on].copy()
                 if not len(rows):
                     break
-                stepper = dpend.Stepper(rig, len(rows))
+                stepper = dpend.Stepper(RIG, len(rows))
                 stepper.reset(x)
                 act = LinearLaw(K[rows], law, state).start(len(rows), np.random.default_rng(0))
     up = final >= task.hold - 1e-9
-    stayed = np.minimum(longest, 1.0) + longest / (horizon * rig.sample_time)
+    stayed = np.minimum(longest, 1.0) + longest / (horizon * RIG.sample_time)
     return Score(np.exp(-away_least) + 0.2 * lasted + stayed + up, longest, up)
 
 
@@ -238,8 +229,7 @@ def _holding(n: int, rng: np.random.Generator) -> Array:
 
     Half of them nearly balance both angles, so that the force is not at its limit where the links lean alike.
     """
-    rig = dpend.rig("gustafsson2016")
-    A, B = dpend.discretize(*dpend.linearize(rig.params), rig.sample_time)
+    A, B = dpend.discretize(*dpend.linearize(RIG.params), RIG.sample_time)
     found: list[Array] = []
     while sum(map(len, found)) < n:
         *q, r = np.exp(rng.uniform(np.log(1e-3), np.log(1e3), 7))
@@ -254,17 +244,12 @@ def _holding(n: int, rng: np.random.Generator) -> Array:
     return np.vstack(found)[:n]
 
 
-def _search(setting: str, options: Options) -> Result:
-    start, law, state = setting.split(", ")
-    candidates, generations, strategies = (
-        (64, 2, 1) if options.quick else (options.candidates, options.generations, options.strategies)
-    )
-    rig = dpend.rig("gustafsson2016")
-    code = [list(LAWS).index(law), list(STATES).index(state), STARTS.index(start)]
-    rng = np.random.default_rng([options.seed, 13, *code])
-    exact, near = _task(start), _task(start, _NEAR)
-    rest = exact.starts(rng, 1, rig)[0]
-    horizon = 100 if options.quick else exact.steps
+def _search(job: Job) -> Result:
+    law, state, candidates, generations = job.law, job.state, job.candidates, job.generations
+    code = [list(LAWS).index(law), list(STATES).index(state), STARTS.index(job.start)]
+    rng = np.random.default_rng([job.seed, 13, *code])
+    exact, near = _task(job.start), _task(job.start, _NEAR)
+    at_rest = exact.starts(rng, 1, RIG)[0]
 
     directions = rng.standard_normal((candidates // 2, 6)) / (1.0, 1.0, 1.0, 1.0, 0.3, 0.3)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -272,11 +257,11 @@ def _search(setting: str, options: Options) -> Result:
     gains = np.vstack([directions * sizes, _holding(candidates - len(directions), rng)])
 
     def from_rest(K: Array) -> Score:
-        return _scores(K, np.tile(rest, (len(K), 1)), law, state, horizon)
+        return _scores(K, np.tile(at_rest, (len(K), 1)), law, state, exact.steps)
 
     def from_near(K: Array) -> Score:
         """Score by the share of some starts near that succeed, and by what each came to."""
-        each = _scores(np.repeat(K, _STARTS_NEAR, axis=0), np.tile(around, (len(K), 1)), law, state, horizon)
+        each = _scores(np.repeat(K, _STARTS_NEAR, axis=0), np.tile(around, (len(K), 1)), law, state, exact.steps)
         value, longest, up = (part.reshape(len(K), _STARTS_NEAR) for part in each)
         return Score(up.mean(axis=1) + 0.1 * value.mean(axis=1), longest.max(axis=1), np.asarray(up.any(axis=1)))
 
@@ -285,7 +270,7 @@ def _search(setting: str, options: Options) -> Result:
     ranks = np.argsort(first.value)[::-1]
     held = ranks[ranks >= len(directions)]
     pool, curves = [gains[ranks[:64]]], []
-    for k in range(strategies):  # from the best of all, and from the best of those that hold upright
+    for k in range(job.strategies):  # from the best of all, and from the best of those that hold upright
         begin = gains[(ranks if k % 2 == 0 else held)[k // 2]]
         best, curve, count = _evolve(from_rest, begin, 256, generations, rng)
         pool.append(best)
@@ -294,18 +279,18 @@ def _search(setting: str, options: Options) -> Result:
         successes.append(count)
     finalists = np.vstack(pool)
     finalists = finalists[np.argsort(from_rest(finalists).value)[::-1][:64]]
-    around = near.starts(rng, _STARTS_NEAR, rig)
+    around = near.starts(rng, _STARTS_NEAR, RIG)
     if sum(successes):  # then from starts near as well, not from one alone
         begin = finalists[np.argmax(from_near(finalists).value)]
         wide, _, _ = _evolve(from_near, begin, 96, generations, rng)
         finalists = np.vstack([wide, finalists])
-        around = near.starts(rng, _STARTS_NEAR, rig)
+        around = near.starts(rng, _STARTS_NEAR, RIG)
         finalists = finalists[np.argsort(from_near(finalists).value)[::-1]]
     K, run, outcome = finalists[0], None, "not up"
     for gain in finalists:  # the widest that succeeds from rest, and does so however finely the plant is integrated
         alone, fine = (
-            dpend.simulate(rig.replace(substeps=substeps), LinearLaw(gain, law, state), rest, task=exact)
-            for substeps in (rig.substeps, 4 * rig.substeps)
+            dpend.simulate(RIG.replace(substeps=substeps), LinearLaw(gain, law, state), at_rest, task=exact)
+            for substeps in (RIG.substeps, 4 * RIG.substeps)
         )
         words = "up" if alone.success and fine.success else "up by rounding" if alone.success else "not up"
         if run is None or (words != outcome and outcome != "up" and words != "not up"):
@@ -313,26 +298,18 @@ def _search(setting: str, options: Options) -> Result:
         if outcome == "up":
             break
     assert run is not None
-    starts = near.starts(np.random.default_rng([options.seed, 14]), 20 if options.quick else _LONG, rig)
-    row = Row(
-        part="search",
-        setting=f"{law}, {state}",
-        start=start,
-        training=0,
-        outcome=outcome,
-        episodes=sum(tried),
-        successes=sum(successes),
-        longest=round(float(from_rest(finalists).longest.max()), 4),
-        near=int(dpend.simulate_many(rig, LinearLaw(K, law, state), starts, task=near).success.sum()),
-        gain=" ".join(f"{k:.17g}" for k in K),
-    )
-    return Result([row], {"scores": np.max(curves, axis=0), "th1": run.x[:, 1], "th2": run.x[:, 2]})
+    starts = near.starts(np.random.default_rng([job.seed, 14]), job.starts_near, RIG)
+    saved = dpend.simulate_many(RIG, LinearLaw(K, law, state), starts, task=near).success
+    row = {"epsilon": 0.0, "alpha": 0.0, "weights": "", "training": 0, "outcome": outcome, "episodes": sum(tried),
+           "successes": sum(successes), "longest": round(float(from_rest(finalists).longest.max()), 4),
+           "near": int(saved.sum())}  # fmt: skip
+    return Result([row], {"scores": np.max(curves, axis=0), "angles": run.x[:, 1:3], "gain": K, "saved": saved})
 
 
 def _evolve(
     scored: Callable[[Array], Score], begin: Array, population: int, generations: int, rng: np.random.Generator
 ) -> tuple[Array, Array, int]:
-    """Maximise by CMA-ES in units of the first gain; give the 16 best gains, best scores by generation, successes.
+    """Return the 16 best gains, best scores by generation, and successes of CMA-ES in units of the first gain.
 
     Source: N. Hansen, *The CMA evolution strategy: a tutorial*, 2016.
     """
@@ -372,75 +349,49 @@ def _evolve(
     return best, curve, successes
 
 
-def plot(rows: list[Row], traces: Traces) -> Figure:
-    """Draw average rewards of learning, the searches' best scores, and the tip's height under the best gains."""
-    figure = Figure(figsize=(6.8, 8.6), layout="constrained")
-    learning, scores, *angles = figure.subplots(4, 1, height_ratios=[1.3, 1.3, 1, 1])
-    colours = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#777777", "#000000")
-    for colour, features in zip(colours, FEATURES, strict=False):
-        own = [
-            trace["rewards"]
-            for job, trace in traces.items()
-            if job.startswith(f"learning,_{features}".replace(" ", "_"))
-        ]
-        own = [reward for reward in own if reward.size]
-        for k, (low, middle, high) in enumerate(own):
-            episodes = np.arange(1, len(middle) + 1)
-            learning.plot(episodes, middle, color=colour, lw=1, label=features if k == 0 else None)
-            learning.fill_between(episodes, low, high, color=colour, alpha=0.12, lw=0)
+def report(table: Table) -> Report:
+    """Draw average rewards, best scores and the tip's height under the best gains; tabulate what was found."""
+    learned = []
+    for features in FEATURES:
+        if own := list(table.lines(features=features)):
+            learned.append(
+                {"features": features, "trainings": len(own), "overflowed": sum(r.outcome == "diverged" for r in own),
+                 "episodes": sum(r.episodes for r in own), "ended upright": sum(r.successes for r in own),
+                 "longest upright, s": cell(max(r.longest for r in own), ".2f")}
+            )  # fmt: skip
+    searched = [
+        {"start": row.start, "law": f"{row.law}, {row.state}", "gains tried": row.episodes, "of them up": row.successes,
+         "the best": row.outcome, "longest upright, s": cell(row.longest, ".2f"), "fresh starts near": row.starts_near,
+         "of them up, %": share(row.near, row.starts_near)}
+        for row in table.lines(part="search")
+    ]  # fmt: skip
+    brief = ("start", "law", "of them up", "the best", "of them up, %")
+    tables = [sheet("Linear Q-learning from the side", learned), sheet("Search over gains", searched, brief=brief)]
+    return Report(figures=_overview(table), tables=tables)
+
+
+def _overview(table: Table) -> Figure:
+    figure, ((learning,), (scores,), *heights) = facets(4, height=8.6, height_ratios=[1.3, 1.3, 1, 1])
+    for colour, features in zip(COLOURS, FEATURES, strict=False):
+        for k, rewards in enumerate(table.arrays("rewards", features=features)):
+            episodes = np.arange(1, rewards.shape[1] + 1)
+            band(learning, episodes, rewards, (colour, "", "-"), features if k == 0 else None)
     learning.set(xlabel="episodes", ylabel="average reward")
-    learning.set_title("linear Q-learning that did not overflow: median and quartiles over settings", fontsize=9)
-    if learning.get_legend_handles_labels()[0]:
-        learning.legend(fontsize=8)
-    searches = [row for row in rows if row.part == "search"]
-    for place, row in enumerate(searches):
-        trace = traces[_study.slug(Job(f"search, {row.start}, {row.setting}"))]
-        colour = colours[place % len(colours)]
-        words = f"{row.start}: {row.setting}"
-        scores.plot(np.arange(1, len(trace["scores"]) + 1), trace["scores"], color=colour, lw=1.2, label=words)
-        axis = angles[STARTS.index(row.start)]
-        t = 0.02 * np.arange(len(trace["th1"]))
-        axis.plot(t, 0.5 * (np.cos(trace["th1"]) + np.cos(trace["th2"])), color=colour, lw=1.0, label=row.setting)
+    learning.set_title("linear Q-learning that did not overflow: median and quartiles over settings")
+    for colour, row in zip(COLOURS, table.lines(part="search"), strict=False):
+        words, best, angles = f"{row.law}, {row.state}", *(table.array(a, job=row.job) for a in ("scores", "angles"))
+        scores.plot(np.arange(1, len(best) + 1), best, color=colour, label=f"{row.start}: {words}")
+        t = RIG.sample_time * np.arange(len(angles))
+        heights[STARTS.index(row.start)][0].plot(t, 0.5 * np.cos(angles).sum(axis=1), color=colour, lw=1, label=words)
     scores.set(xlabel="generation", ylabel="best score")
-    scores.legend(fontsize=6.5, ncols=2)
-    for axis, start in zip(angles, STARTS, strict=True):
+    for (axis,), start in zip(heights, STARTS, strict=True):
         axis.set(xlabel="time (s)", ylabel="height of the tip", ylim=(-1.1, 1.1))
-        axis.set_title(f"best gains from {start}, 1 = upright, until the cart leaves the track", fontsize=9)
+        axis.set_title(f"best gains from {start}, 1 = upright, until the cart leaves the track")
+    for axis, columns in ((learning, 1), (scores, 2), *((axis, 2) for (axis,) in heights)):
         if axis.get_legend_handles_labels()[0]:
-            axis.legend(fontsize=6.5, ncols=2)
-    for axis in (learning, scores, *angles):
-        axis.grid(alpha=0.3)
+            axis.legend(ncols=columns)
     return figure
 
 
-def summary(rows: list[Row], traces: Traces) -> RenderableType:
-    """Condense the table: successes of learning by features, and what each search found."""
-    learned = Table(title="Linear Q-learning from the side")
-    for heading in ("features", "trainings", "overflowed", "episodes", "ended upright", "longest upright (s)"):
-        learned.add_column(heading, justify="left" if heading == "features" else "right")
-    for features in FEATURES:
-        own = [row for row in rows if row.part == "learning" and row.setting.startswith(features)]
-        if own:
-            learned.add_row(
-                features,
-                str(len(own)),
-                str(sum(row.outcome == "diverged" for row in own)),
-                f"{sum(row.episodes for row in own):,}",
-                str(sum(row.successes for row in own)),
-                f"{max(row.longest for row in own):.2f}",
-            )
-    searched = Table(title="Search over gains")
-    for heading in ("start", "law", "gains tried", "of them up", "the best", "longest upright (s)", "from starts near"):
-        searched.add_column(heading, justify="left" if heading in ("start", "law") else "right")
-    for row in rows:
-        if row.part == "search":
-            rate = wilson(row.near, _LONG)
-            searched.add_row(
-                row.start, row.setting, f"{row.episodes:,}", f"{row.successes:,}", row.outcome, f"{row.longest:.2f}",
-                f"{rate.share:.1%} \\[{rate.low:.1%}, {rate.high:.1%}]",
-            )  # fmt: skip
-    return Group(learned, searched)
-
-
 if __name__ == "__main__":
-    _study.main("studies.linear_swing_up")
+    _runner.main("studies.linear_swing_up")

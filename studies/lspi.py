@@ -2,9 +2,9 @@
 
 Method: on gustafsson2016, from K = 0 and without a model, least-squares policy iteration with 120 s and with 60 s of
 experience, and one-step Q-learning on the same features with 120 s and with 12 000 s, 30 fresh seeds each.  The gain is
-held against the one of the Riccati equation for the same cost and discount, with √γA and √γB.  The k-th training of
-every learner, and that gain, meet the k-th part of the starts at every λ; Table 1 Q-learning (tuned) stands beside.
-Variation is the total variation of the force per second, in units of the force limit, at λ = 0.1.
+compared with the one of the Riccati equation for the same cost and discount, with √γA and √γB.  The k-th training of
+every learner, and that gain, are evaluated on the k-th part of the starts at every λ; Table 1 Q-learning (tuned) stands
+beside.  Variation is the total variation of the force per second, in units of the force limit, at λ = 0.1.
 
 Finding: with 120 s LSPI comes within 5 % of the Riccati gain in 30 of 30 trainings (median error 0.13 %, at most
 0.9 %), saves what that gain saves (100/99.5/85.2/69.0 %), and its force varies 1/814 as much as Table 1 Q-learning's;
@@ -14,251 +14,188 @@ docs/results/lspi.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
-from rich.console import Group, RenderableType
-from rich.table import Table
 from scipy.linalg import solve_discrete_are
 
 import dpend
 from dpend.params import Array
-from rl import LSPI, GainPolicy, LinearQLearning, LSPITraining, QuadraticQLearning
+from rl import LSPI, GainPolicy, Learner, LinearQLearning, QuadraticQLearning
+from rl.lspi import gain_errors
 
-from . import _study
-from ._intervals import over_seeds, wilson
-from ._study import Job, Result, Traces
+from . import _runner
+from ._estimates import QUARTILES, mean_share, share
+from ._figures import Curve, band, curves, force_trace, legend_above, log_axis, mosaic, share_axis
+from ._runner import Report, Result, Table
+from ._tables import cell, sheet
 
+MINUTES = 6
+
+RIG = dpend.rig("gustafsson2016")
 LAMS = (0.1, 0.2, 0.3, 0.4)
 CLOSE = 0.05
 """A gain counts as found within this error, relative to the norm of the Riccati gain."""
 
-LEARNERS: dict[str, Callable[[dpend.Rig], LSPI | QuadraticQLearning]] = {
+REFERENCE, TABLE1 = "Riccati gain", "Q-learning, Table 1"
+LEARNERS: dict[str, Callable[[dpend.Rig], Learner]] = {
     "LSPI, 120 s": lambda rig: LSPI(rig),
     "LSPI, 60 s": lambda rig: LSPI(rig, samples=60, iterations=50, anneal=42),
     "one-step Q, 120 s": lambda rig: QuadraticQLearning(rig),
     "one-step Q, 12 000 s": lambda rig: QuadraticQLearning(
         rig, samples=600_000, anneal=500_000, alpha=0.1, record_every=10_000
     ),
-}
-_REFERENCE, _TABLE1 = "Riccati gain", "Q-learning, Table 1"
-_STYLES = {
-    _REFERENCE: ("#0072B2", "o", "-"),
-    "LSPI, 120 s": ("#009E73", "D", "-."),
-    "LSPI, 60 s": ("#E69F00", "s", "--"),
-    "one-step Q, 120 s": ("#777777", "v", ":"),
-    "one-step Q, 12 000 s": ("#CC79A7", "P", ":"),
-    _TABLE1: ("#D55E00", "^", "--"),
+    TABLE1: lambda rig: LinearQLearning.tuned(rig),
 }
 _TRACE_SECONDS = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_study.Options):
-    """What can be told on the command line."""
+class Options(_runner.Options):
+    """Options of the command line."""
 
     trainings: int = 30
     """Seeds of each learner."""
     episodes: int = 300
-    """Starts that each trained controller meets at each spread."""
+    """Starts on which each trained controller is evaluated at each λ."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.check_least(1, "trainings", "episodes")
 
-    @property
-    def sizes(self) -> tuple[int, int]:
-        """Trainings of each learner, and starts of each; few where it must be quick."""
-        return (min(self.trainings, 2), min(self.episodes, 20)) if self.quick else (self.trainings, self.episodes)
 
-
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """One controller at one spread."""
+@dataclass(frozen=True)
+class Job:
+    """One training, or the Riccati gain, on its part of the starts."""
 
     controller: str
     training: int
-    lam: float
     episodes: int
-    successes: int
-    """Starts saved: neither link fell."""
-    variation: float
-    """Mean total variation of the force per second, in units of the force limit."""
-    error: float
-    """Distance of the gain from the Riccati gain, relative; not a number where there is no gain."""
-    experience: float
-    """Learning, tests included, s of the plant's time."""
-
-
-def discounted_gain(rig: dpend.Rig, state_weights: Sequence[float], force_weight: float, gamma: float) -> Array:
-    r"""Return the gain ``(6,)`` of least :math:`\\sum_k \\gamma^k (x_k^\top Q x_k + R u_k^2)` about upright.
-
-    Parameters
-    ----------
-    rig : Rig
-        Plant and sample time.
-    state_weights : sequence of 6 floats
-        Diagonal of :math:`Q`.
-    force_weight : float
-        :math:`R`.
-    gamma : float
-        Discount factor; the Riccati equation is that of :math:`\sqrt\gamma A, \sqrt\gamma B`.
-    """
-    A, B = (np.sqrt(gamma) * M for M in dpend.discretize(*dpend.linearize(rig.params), rig.sample_time))
-    P = solve_discrete_are(A, B, np.diag(state_weights), np.array([[force_weight]]))
-    return ((B.T @ P @ A) / (force_weight + B.T @ P @ B))[0]
+    seed: int
 
 
 def reference(rig: dpend.Rig) -> Array:
-    """Return the Riccati gain of the cost and the discount that the learners have."""
+    r"""Return the gain ``(6,)`` of least :math:`\sum_k \gamma^k (x_k^\top Q x_k + R u_k^2)` about upright.
+
+    Weights and discount are the learners'; the Riccati equation is that of :math:`\sqrt\gamma A, \sqrt\gamma B`.
+    """
     learner = LSPI(rig)
-    return discounted_gain(rig, learner.state_weights, learner.force_weight, learner.gamma)
+    R = learner.force_weight
+    A, B = (np.sqrt(learner.gamma) * M for M in dpend.discretize(*dpend.linearize(rig.params), rig.sample_time))
+    P = solve_discrete_are(A, B, np.diag(learner.state_weights), np.array([[R]]))
+    return ((B.T @ P @ A) / (R + B.T @ P @ B))[0]
 
 
 def jobs(options: Options) -> list[Job]:
     """List the work: each controller once for each part of the starts."""
-    return [Job(name, k) for name in (_REFERENCE, *LEARNERS, _TABLE1) for k in range(options.sizes[0])]
+    most = (2, 20) if options.quick else (options.trainings, options.episodes)
+    trainings, episodes = min(options.trainings, most[0]), min(options.episodes, most[1])
+    return [Job(name, k, episodes, options.seed) for name in (*LEARNERS, REFERENCE) for k in range(trainings)]
 
 
-def run(job: Job, options: Options) -> Result:
-    """Train where there is something to train, then meet this training's starts of every spread."""
-    rig = dpend.rig("gustafsson2016")
-    trainings, episodes = options.sizes
-    best = reference(rig)
-    error, experience, seed = np.nan, 0.0, [options.seed, 6, job.repetition]
-    traces: dict[str, Array] = {}
-    if job.setting == _REFERENCE:
-        controller: dpend.Controller = GainPolicy(best)
-        error = 0.0
-    elif job.setting == _TABLE1:
-        tuned = LinearQLearning.tuned(rig).train(seed)
-        controller, experience = tuned.policy, (tuned.steps + tuned.test_steps) * rig.sample_time
-    else:
-        learner = LEARNERS[job.setting](rig)
-        training: LSPITraining = learner.train(seed)
-        controller, experience = training.policy, training.experience
-        seconds = (training.samples * rig.sample_time).astype(np.float64)
-        traces = {"errors": training.errors(best), "experience": seconds}
-        error = float(traces["errors"][-1])
-    rows = []
+def run(job: Job) -> Result:
+    """Train where there is something to train, then balance from this training's starts at every λ."""
+    best, error, experience = reference(RIG), 0.0, 0.0
+    controller: dpend.Controller = GainPolicy(best)
+    arrays: dict[str, Array] = {}
+    if job.controller != REFERENCE:
+        training = LEARNERS[job.controller](RIG).train([job.seed, 6, job.training])
+        controller, experience, error = training.policy, training.experience, np.nan
+        if "gains" in training.details:
+            errors = gain_errors(training.details["gains"], best)
+            arrays = {"errors": errors, "experience": RIG.sample_time * training.details["samples"]}
+            error = float(errors[-1])
+    rows, saved, first = [], [], job.training * job.episodes
     for lam in LAMS:
         task = dpend.Balance(lam=lam)
-        starts = task.starts(np.random.default_rng([options.seed, 7]), trainings * episodes, rig)
-        mine = starts[job.repetition * episodes : (job.repetition + 1) * episodes]
-        runs = dpend.simulate_many(rig, controller, mine, task=task, seed=options.seed)
+        starts = task.starts(np.random.default_rng([job.seed, 7]), first + job.episodes, RIG)[first:]
+        runs = dpend.simulate_many(RIG, controller, starts, task=task, seed=job.seed)
+        saved.append(runs.success)
         rows.append(
-            Row(
-                controller=job.setting,
-                training=job.repetition,
-                lam=lam,
-                episodes=len(mine),
-                successes=int(runs.success.sum()),
-                variation=float(np.mean(runs.metrics()["variation"])),
-                error=error,
-                experience=experience,
-            )
+            {"lam": lam, "successes": int(runs.success.sum()), "variation": float(runs.metrics()["variation"].mean()),
+             "error": error, "experience": experience}
+        )  # fmt: skip
+    arrays["saved"] = np.transpose(saved)
+    if job.training == 0:
+        start = dpend.Balance().starts(np.random.default_rng([job.seed, 7]), 1, RIG)[0]
+        arrays["force"] = dpend.simulate(RIG, controller, start, _TRACE_SECONDS, seed=job.seed).u
+    return Result(rows, arrays)
+
+
+# --------------------------------------------------------------------------------------------------------------- report
+
+STYLES = {
+    REFERENCE: ("#0072B2", "o", "-"),
+    "LSPI, 120 s": ("#009E73", "D", "-."),
+    "LSPI, 60 s": ("#E69F00", "s", "--"),
+    "one-step Q, 120 s": ("#777777", "v", ":"),
+    "one-step Q, 12 000 s": ("#CC79A7", "P", ":"),
+    TABLE1: ("#D55E00", "^", "--"),
+}
+
+
+def report(table: Table) -> Report:
+    """Draw errors, success and forces; tabulate gains found, success by λ beside the Riccati gain's, and variation."""
+    own = {(name, lam): table.where(controller=name, lam=lam) for name in STYLES for lam in LAMS}
+    shares = {which: (rows["successes"] / rows["episodes"]).to_numpy() for which, rows in own.items()}
+    saved = {which: mean_share(shares[which], rows["episodes"]) for which, rows in own.items()}
+    found, success = [], []
+    for name in STYLES:
+        error, experience, variation = (
+            own[name, LAMS[0]][column].to_numpy() for column in ("error", "experience", "variation")
         )
-    if job.repetition == 0:
-        start = dpend.Balance().starts(np.random.default_rng([options.seed, 7]), 1, rig)[0]
-        traces["force"] = dpend.simulate(rig, controller, start, _TRACE_SECONDS, seed=options.seed).u
-    return Result(rows, traces)
+        if name not in (REFERENCE, TABLE1):
+            close = int((error <= CLOSE).sum())
+            errors = zip(("median", "90th percentile", "largest"), np.quantile(error, (0.5, 0.9, 1.0)), strict=True)
+            found.append(
+                {
+                    "learner": name,
+                    "found": replace(cell(share(close, len(error)), ".0%"), text=f"{close} of {len(error)}"),
+                }
+                | {f"{each} error, %": cell(value, ".2%") for each, value in errors}
+                | {"experience, s": cell(np.median(experience), ",.0f")}
+            )
+        cells = {}
+        for lam in LAMS:
+            gaps, said = 100 * (shares[name, lam] - shares[REFERENCE, lam]), cell(saved[name, lam], ".1%")
+            cells[f"λ = {lam:g}"] = replace(said, under=f"{said.under}\n{min(gaps):+.1f} to {max(gaps):+.1f}".strip())
+        success.append({"controller": name} | cells | {"variation at λ = 0.1": cell(variation.mean(), ".4g")})
+    title = "Starts saved, %, and 95 % interval over trainings; below: widest gap of one to Riccati's"
+    return Report(
+        figures=_overview(table, {name: {lam: saved[name, lam] for lam in LAMS} for name in STYLES}),
+        tables=[
+            sheet(f"Gains within {CLOSE:.0%} of the Riccati gain, with intervals in %, and their error", found),
+            sheet(title, success, brief=("controller", "λ = 0.1", "λ = 0.3", "variation at λ = 0.1")),
+        ],
+    )
 
 
-def _of(rows: list[Row], controller: str, lam: float) -> list[Row]:
-    return [row for row in rows if (row.controller, row.lam) == (controller, lam)]
-
-
-def plot(rows: list[Row], traces: Traces) -> Figure:
-    """Draw the gain's error against experience, success against spread, and a force trace of each kind."""
-    figure = Figure(figsize=(6.6, 8.2), layout="constrained")
-    grid = figure.add_gridspec(4, 2, height_ratios=[4.2, 1, 1, 1])
-    _plot_errors(figure.add_subplot(grid[0, 0]), traces)
-    _plot_success(figure.add_subplot(grid[0, 1]), rows)
-    sample_time = dpend.rig("gustafsson2016").sample_time
-    for place, name in enumerate((_REFERENCE, "LSPI, 120 s", _TABLE1)):
-        axis = figure.add_subplot(grid[1 + place, :])
-        force = traces[_study.slug(Job(name))]["force"]
-        axis.stairs(force, sample_time * np.arange(len(force) + 1), baseline=None, color=_STYLES[name][0], lw=1.1)
-        axis.set(xlim=(0, _TRACE_SECONDS), ylim=(-46, 46), yticks=(-40, 0, 40))
-        axis.set_title(f"{name}, one episode at λ = 0.1", fontsize=8, loc="left", pad=2)
-        axis.tick_params(labelsize=8, labelbottom=place == 2)
-        axis.grid(alpha=0.3)
-        if place == 1:
-            axis.set_ylabel("force on the cart (N)")
-        if place == 2:
-            axis.set_xlabel("time (s)")
-    handles, labels = figure.axes[1].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=8, frameon=False)
+def _overview(table: Table, saved: Mapping[str, Curve]) -> Figure:
+    """Draw the gain's error against experience, success against λ, and a force trace of each kind."""
+    traced = {f"{name}, one episode at λ = 0.1": name for name in (REFERENCE, "LSPI, 120 s", TABLE1)}
+    layout = [[[["errors", "success"]]], *([title] for title in traced)]
+    figure, axes = mosaic(layout, height=8.2, height_ratios=[4.2, 1, 1, 1])
+    for name, style in STYLES.items():
+        if errors := table.arrays("errors", controller=name):
+            experience = table.arrays("experience", controller=name)[0]
+            band(axes["errors"], experience, np.quantile(errors, QUARTILES, axis=0), style)
+    axes["errors"].axhline(CLOSE, color="k", lw=0.8, ls="--")
+    axes["errors"].set(yscale="log", ylim=(4e-4, 4), xlabel="experience (s)", ylabel="error of the gain")
+    log_axis(axes["errors"])
+    axes["errors"].set_title("median and quartiles over trainings")
+    curves(axes["success"], saved, STYLES, aside=0.016)
+    share_axis(axes["success"], "starts saved")
+    axes["success"].set(xlabel="greatest starting angle λ (rad)", xticks=LAMS)
+    for title, name in traced.items():
+        force = table.array("force", controller=name, training=0)
+        force_trace(axes[title], force, RIG.sample_time, _TRACE_SECONDS, STYLES[name][0], title)
+        axes[title].tick_params(labelbottom=name == TABLE1)
+        axes[title].set(xlabel="time (s)" * (name == TABLE1), ylabel="force on the cart (N)" * (name == "LSPI, 120 s"))
+    legend_above(figure, 3)
     return figure
 
 
-def _plot_errors(axis: Axes, traces: Traces) -> None:
-    for name in LEARNERS:
-        own = [trace for job, trace in traces.items() if job.startswith(_study.slug(Job(name))[:-1])]
-        errors = np.array([trace["errors"] for trace in own])
-        low, middle, high = np.quantile(errors, (0.25, 0.5, 0.75), axis=0)
-        colour, _, line = _STYLES[name]
-        axis.plot(own[0]["experience"], middle, color=colour, ls=line, lw=1.5)
-        axis.fill_between(own[0]["experience"], low, high, color=colour, alpha=0.2, lw=0)
-    axis.axhline(CLOSE, color="k", lw=0.8, ls="--")
-    axis.set(xscale="log", yscale="log", ylim=(4e-4, 4), xlabel="experience (s)", ylabel="error of the gain")
-    axis.set_title("median and quartiles over trainings", fontsize=8)
-    axis.grid(alpha=0.3)
-
-
-def _plot_success(axis: Axes, rows: list[Row]) -> None:
-    for place, (name, (colour, marker, line)) in enumerate(_STYLES.items()):
-        rates = [over_seeds([row.successes for row in own], own[0].episodes) for own in _by_lam(rows, name)]
-        error = np.array([[rate.share - rate.low, rate.high - rate.share] for rate in rates]).T
-        aside = np.array(LAMS) + 0.005 * (place - (len(_STYLES) - 1) / 2)
-        axis.errorbar(
-            aside, [rate.share for rate in rates], error,
-            color=colour, marker=marker, ls=line, ms=4, capsize=2, lw=1.3, label=name,
-        )  # fmt: skip
-    axis.set(xlabel="starting spread λ (rad)", ylabel="starts saved", ylim=(-0.03, 1.03), xticks=LAMS)
-    axis.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axis.grid(alpha=0.3)
-
-
-def _by_lam(rows: list[Row], controller: str) -> list[list[Row]]:
-    return [_of(rows, controller, lam) for lam in LAMS]
-
-
-def summary(rows: list[Row], traces: Traces) -> RenderableType:
-    """Condense the table: gains found, their errors, success by λ beside the Riccati gain's, and variation."""
-    found = Table(title=f"Gains within {CLOSE:.0%} of the Riccati gain, and their error")
-    for heading in ("learner", "found", "median error", "90th percentile", "largest", "experience (s)"):
-        found.add_column(heading, justify="left" if heading == "learner" else "right")
-    for name in LEARNERS:
-        own = _of(rows, name, LAMS[0])
-        errors = np.array([row.error for row in own])
-        close = int((errors <= CLOSE).sum())
-        rate = wilson(close, len(own))
-        found.add_row(
-            name,
-            f"{close} of {len(own)} \\[{rate.low:.0%}, {rate.high:.0%}]",
-            *(f"{100 * value:.2f} %" for value in (*np.quantile(errors, (0.5, 0.9)), errors.max())),
-            f"{np.median([row.experience for row in own]):,.0f}",
-        )
-    success = Table(title="Starts saved, %, and 95 % interval over trainings; below: widest gap of one to Riccati's")
-    for heading in ("controller", *(f"λ = {lam:g}" for lam in LAMS), "variation at λ = 0.1"):
-        success.add_column(heading, justify="left" if heading == "controller" else "right")
-    for name in _STYLES:
-        cells = []
-        for own, ideal in zip(_by_lam(rows, name), _by_lam(rows, _REFERENCE), strict=True):
-            rate = over_seeds([row.successes for row in own], own[0].episodes)
-            gaps = [(mine.successes - best.successes) / mine.episodes for mine, best in zip(own, ideal, strict=True)]
-            cells.append(
-                f"{100 * rate.share:.1f} \\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]\n"
-                f"{100 * min(gaps):+.1f} to {100 * max(gaps):+.1f}"
-            )
-        success.add_row(name, *cells, f"{np.mean([row.variation for row in _of(rows, name, LAMS[0])]):.4g}")
-    return Group(found, success)
-
-
 if __name__ == "__main__":
-    _study.main("studies.lspi")
+    _runner.main("studies.lspi")

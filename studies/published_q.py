@@ -5,7 +5,7 @@ gustafsson2016, λ = 0.1, over combinations of what the report does not state: t
 of a failed episode, whether the failed step still bootstraps (as Algorithm 1 is printed), and how many successes in a
 row are convergence. Also with link 1 alone falling, as the report says, and with both; and with and without the six
 features of the cart. Each combination is trained from several seeds, until it converges, a weight overflows, or the
-budget of episodes is spent; a controller that converged then meets fresh starts.
+budget of episodes is spent; a controller that converged is then evaluated on fresh starts.
 
 Finding: with all 18 features none of 480 trainings comes to 10 successes in a row, every one overflows; without the
 cart's six, by the report's criterion, 20 of 240 come to 20, at best 5 of 20 in one combination, against the report's
@@ -14,20 +14,22 @@ cart's six, by the report's criterion, 20 of 240 come to 20, at best 5 of 20 in 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
-from rich.table import Table
+import pandas as pd
 
 import dpend
 from rl import LinearQLearning
 
-from . import _study
-from ._intervals import wilson
-from ._study import Job, Result, Traces
+from . import _runner
+from ._estimates import Estimate, share
+from ._figures import facets, forest, legend_above, palette, share_axis
+from ._runner import Plant, Report, Result, Table, where
+from ._tables import sheet
+
+MINUTES = 12
 
 FEATURES = {"all 18 features": True, "without the cart's six": False}
 CRITERIA = {"link 1 alone": "report", "both links": "strict"}
@@ -41,36 +43,40 @@ REPORT_SHARE = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_study.Options):
-    """What can be told on the command line."""
+class Options(_runner.OnRig):
+    """Options of the command line."""
 
     trainings: int = 20
     """Seeds for each combination."""
     max_episodes: int = 2000
     """Budget of each training."""
     episodes: int = 100
-    """Fresh starts at λ = 0.1 that a converged controller meets."""
+    """Fresh starts at λ = 0.1 on which a converged controller is evaluated."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.check_least(1, "trainings", "max_episodes", "episodes")
 
-    @property
-    def sizes(self) -> tuple[int, int]:
-        """Trainings and their budget; few and small where it must be quick."""
-        return (
-            (min(self.trainings, 2), min(self.max_episodes, 50)) if self.quick else (self.trainings, self.max_episodes)
-        )
+
+@dataclass(frozen=True)
+class Job:
+    """The trainings of one choice of features, criterion and cost weights."""
+
+    plant: Plant
+    features: str
+    criterion: str
+    weights: str
+    """Ratio of the cost's weights on position, angle 1 and angle 2."""
+    trainings: int
+    max_episodes: int
+    episodes: int
+    seed: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
     """One training."""
 
-    features: str
-    criterion: str
-    weights: str
-    """Ratio of the cost's weights on position, angle 1 and angle 2."""
     failure_cost: float
     failed_step: str
     streak: int
@@ -79,7 +85,6 @@ class Row:
     outcome: str
     training_episodes: int
     training_steps: int
-    episodes: int
     successes: int
     """Fresh starts saved, neither link falling; counted for converged trainings only."""
     successes_report: int
@@ -88,43 +93,39 @@ class Row:
 
 def jobs(options: Options) -> list[Job]:
     """List the work: one job for the trainings of each choice of features and criterion and cost weights."""
-    return [Job(f"{f}, {c}, {w}") for f in FEATURES for c in CRITERIA for w in WEIGHTS]
+    trainings, max_episodes = (2, 50) if options.quick else (options.trainings, options.max_episodes)
+    sizes = min(options.trainings, trainings), min(options.max_episodes, max_episodes), options.episodes, options.seed
+    return [Job(options.plant, f, c, w, *sizes) for f in FEATURES for c in CRITERIA for w in WEIGHTS]
 
 
-def run(job: Job, options: Options) -> Result:
+def run(job: Job) -> Result:
     """Train every remaining combination from every seed."""
-    rig = dpend.rig("gustafsson2016")
-    trainings, max_episodes = options.sizes
-    kind, criterion, weights = job.setting.split(", ")
+    rig = job.plant.rig
     rows = []
     for failure_cost in FAILURE_COSTS:
-        task = dpend.Balance(criterion=CRITERIA[criterion], state_weights=WEIGHTS[weights], failure_cost=failure_cost)
-        published = LinearQLearning.published(rig, task=task, cart_features=FEATURES[kind])
+        task = dpend.Balance(
+            criterion=CRITERIA[job.criterion], state_weights=WEIGHTS[job.weights], failure_cost=failure_cost
+        )
+        published = LinearQLearning.published(rig, task=task, cart_features=FEATURES[job.features])
         for failed_step, bootstrap in BOOTSTRAPS.items():
             for streak in STREAKS:
-                learner = replace(published, bootstrap_failure=bootstrap, streak=streak, max_episodes=max_episodes)
-                for k in range(trainings):
-                    training = learner.train([options.seed, 3, k])
+                learner = replace(published, bootstrap_failure=bootstrap, streak=streak, max_episodes=job.max_episodes)
+                for k in range(job.trainings):
+                    training = learner.train([job.seed, 3, k])
                     saved = {"strict": 0, "report": 0}
-                    if training.converged:
-                        for name in saved:
-                            test = replace(task, criterion=name)
-                            starts = test.starts(np.random.default_rng([options.seed, 4, k]), options.episodes, rig)
-                            runs = dpend.simulate_many(rig, training.policy, starts, task=test)
-                            saved[name] = int(runs.success.sum())
+                    for name in saved if training.converged else ():
+                        test = replace(task, criterion=name)
+                        starts = test.starts(np.random.default_rng([job.seed, 4, k]), job.episodes, rig)
+                        saved[name] = int(dpend.simulate_many(rig, training.policy, starts, task=test).success.sum())
                     rows.append(
                         Row(
-                            features=kind,
-                            criterion=criterion,
-                            weights=weights,
                             failure_cost=failure_cost,
                             failed_step=failed_step,
                             streak=streak,
                             training=k,
                             outcome=training.outcome.name.lower().replace("_", " "),
-                            training_episodes=training.episodes,
-                            training_steps=training.steps,
-                            episodes=options.episodes if training.converged else 0,
+                            training_episodes=training.cost.episodes,
+                            training_steps=training.cost.steps,
                             successes=saved["strict"],
                             successes_report=saved["report"],
                         )
@@ -132,86 +133,62 @@ def run(job: Job, options: Options) -> Result:
     return Result(rows)
 
 
-def _share(rows: list[Row]) -> tuple[int, int]:
-    return sum(row.outcome == "converged" for row in rows), len(rows)
+def _converged(rows: pd.DataFrame) -> int:
+    return len(where(rows, outcome="converged"))
 
 
-def plot(rows: list[Row], traces: Traces) -> Figure:
-    """Draw the share of trainings that converge in each combination, with 95 % intervals."""
-    figure = Figure(figsize=(6.3, 6.6), layout="constrained")
-    axes = figure.subplots(2, 2, sharex=True, sharey=True)
-    ways = [(w, f, b) for w in WEIGHTS for f in FAILURE_COSTS for b in BOOTSTRAPS]
-    styles = zip(STREAKS, ("#0072B2", "#E69F00", "#009E73"), ("o", "s", "D"), (-0.22, 0.0, 0.22), strict=True)
-    for streak, colour, marker, aside in styles:
-        for i, kind in enumerate(FEATURES):
-            for j, criterion in enumerate(CRITERIA):
-                axis = axes[j, i]
-                for place, (weights, failure_cost, failed_step) in enumerate(ways):
-                    own = [
-                        row
-                        for row in rows
-                        if (row.features, row.criterion, row.streak) == (kind, criterion, streak)
-                        and (row.weights, row.failure_cost, row.failed_step) == (weights, failure_cost, failed_step)
-                    ]
-                    rate = wilson(*_share(own))
-                    axis.errorbar(
-                        rate.share, place + aside, xerr=[[rate.share - rate.low], [rate.high - rate.share]],
-                        color=colour, marker=marker, ms=3.5, lw=0.9, ls="none",
-                        label=f"{streak} successes in a row" if place == 0 else None,
-                    )  # fmt: skip
-                axis.set_title(f"{kind}, {criterion}", fontsize=9)
-                axis.grid(alpha=0.3)
-    for axis in axes.flat:
-        axis.axvline(REPORT_SHARE, color="k", ls="--", lw=1, label="the report")
-        axis.set(xlim=(-0.02, 1.02), yticks=range(len(ways)))
-        axis.xaxis.set_major_formatter(PercentFormatter(1.0))
-        axis.tick_params(labelsize=8)
-    axes[0, 0].set_yticklabels([f"{w}, {f:g}, {b}" for w, f, b in ways])
-    axes[0, 0].invert_yaxis()
-    figure.supxlabel("trainings that converge", fontsize=9)
-    figure.supylabel("cost weights p:θ1:θ2, failure cost, failed step", fontsize=9)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
-    return figure
-
-
-def summary(rows: list[Row], traces: Traces) -> Table:
-    """Condense the table: how trainings end, by features and criterion, and what the converged are worth.
+def report(table: Table) -> Report:
+    """Draw the share of trainings that converge in each combination, with 95 % intervals; tabulate how they end.
 
     Combinations share their seeds, so only the counts of one combination are independent; the best is shown.
     """
-    table = Table(title="The report's Q-learning, to the letter, over all choices of what it left unstated")
-    headings: tuple[tuple[str, Literal["left", "right"]], ...] = (
-        ("features", "left"),
-        ("falling is", "left"),
-        ("converged: 10 / 20 / 50\nsuccesses in a row", "right"),
-        ("most in one combination,\n20 in a row", "right"),
-        ("diverged", "right"),
-        ("budget\nspent", "right"),
-        ("converged save,\nλ = 0.1", "right"),
-    )
-    for heading, justify in headings:
-        table.add_column(heading, justify=justify)
-    for kind in FEATURES:
-        for criterion in CRITERIA:
-            own = [row for row in rows if (row.features, row.criterion) == (kind, criterion)]
-            by_streak = [_share([row for row in own if row.streak == streak]) for streak in STREAKS]
-            combinations = {(row.weights, row.failure_cost, row.failed_step) for row in own}
-            best = max(
-                _share([r for r in own if r.streak == 20 and (r.weights, r.failure_cost, r.failed_step) == combination])
-                for combination in combinations
-            )
-            done = [row.successes / row.episodes for row in own if row.episodes]
-            table.add_row(
-                kind,
-                criterion,
-                " / ".join(str(converged) for converged, _ in by_streak) + f" of {by_streak[0][1]}",
-                f"{best[0]} of {best[1]}",
-                *(str(sum(row.outcome == outcome for row in own)) for outcome in ("diverged", "budget spent")),
-                f"{100 * np.mean(done):.0f} %" if done else "-",
-            )
-    return table
+    figure, axes = facets(2, 2, height=6.6, sharex=True, sharey=True)
+    lines = []
+    for i, kind in enumerate(FEATURES):
+        for j, criterion in enumerate(CRITERIA):
+            own = table.where(features=kind, criterion=criterion)
+            for (streak, style), aside in zip(palette(map(str, STREAKS)).items(), (-0.22, 0.0, 0.22), strict=True):
+                rates = {name: _share(where(each, streak=int(streak))) for name, each in _combinations(own).items()}
+                forest(axes[j, i], rates, style, aside=aside, label=f"{streak} successes in a row")
+            axes[j, i].set_title(f"{kind}, {criterion}")
+            lines.append(_line(kind, criterion, own))
+    for axis in axes.flat:
+        axis.axvline(REPORT_SHARE, color="k", ls="--", lw=1, label="the report")
+        share_axis(axis, along="x")
+    figure.supxlabel("trainings that converge")
+    figure.supylabel("cost weights p:θ1:θ2, failure cost, failed step")
+    legend_above(figure, 4)
+    title = "The report's Q-learning, to the letter, over all choices of what it left unstated"
+    return Report(figures=figure, tables=[sheet(title, lines, {"converged save, %": ".0%"})])
+
+
+def _share(rows: pd.DataFrame) -> Estimate:
+    return share(_converged(rows), len(rows))
+
+
+def _combinations(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    return {
+        f"{w}, {f:g}, {b}": where(rows, weights=w, failure_cost=f, failed_step=b)
+        for w in WEIGHTS
+        for f in FAILURE_COSTS
+        for b in BOOTSTRAPS
+    }
+
+
+def _line(kind: str, criterion: str, own: pd.DataFrame) -> dict[str, Estimate | str | int | float]:
+    by_streak = [where(own, streak=streak) for streak in STREAKS]
+    best = max((where(each, streak=20) for each in _combinations(own).values()), key=_converged)
+    done = where(own, outcome="converged")
+    return {
+        "features": kind,
+        "falling is": criterion,
+        "converged: 10 / 20 / 50 in a row": " / ".join(str(_converged(each)) for each in by_streak)
+        + f" of {len(by_streak[0])}",
+        "most in one combination, 20 in a row": f"{_converged(best)} of {len(best)}",
+        **{outcome: len(where(own, outcome=outcome)) for outcome in ("diverged", "budget spent")},
+        "converged save, %": (done["successes"] / done["episodes"]).to_numpy().mean() if len(done) else math.nan,
+    }
 
 
 if __name__ == "__main__":
-    _study.main("studies.published_q")
+    _runner.main("studies.published_q")

@@ -3,7 +3,7 @@
 Method: gustafsson2016 (40 N, 2.4 m), starts at rest, 300 samples, neither link beyond a right angle.  A start is
 recoverable if any controller of a list saves it in the simulator, or optimal control does: the motion that asks for
 the least force (controllers/least_force.py), its forces replayed from the exact start, then LQR.  A controller of yours
-(``--controller path.py:factory``) is asked for what is left.  What then is left is "not found": no proof that there is
+(``--controller path.py:factory``) is tried on what is left.  What then is left is "not found": no proof that there is
 nothing.  Beside it stands an indicator, the null-controllable set of the two unstable modes of the linearisation.
 Random starts are those of studies.lambda_sweep; a grid of (θ1, θ2) gives the map.
 
@@ -17,397 +17,108 @@ docs/results/recoverable.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, partial
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import PercentFormatter
-from rich.console import Group, RenderableType
-from rich.table import Table
 
 import dpend
-from controllers import ILQRMPC, LQR, BangBang, NoTrajectory, Trajectory
-from controllers.least_force import LeastForce
-from dpend.params import Array, Params
+from dpend.params import Array
 from dpend.tasks import check_lam
 
-from . import _entrants, _study
-from ._intervals import Rate, wilson
-from ._study import Job, Result, Traces
+from . import _field, _runner
+from ._closure import kept_table
+from ._estimates import Estimate, share
+from ._figures import Style, curves, facets, share_axis
+from ._null_controllable import null_controllable
+from ._own import Own
+from ._rescue import FORCE, LAWS, MPC, NONE, OPTIMAL, RIG, Verdict, judge
+from ._runner import Report, Result, Table
+from ._table import read_rows
+from ._tables import Sheet, Value, sheet
 
-RIG = dpend.rig("gustafsson2016")
-FORCE = float(RIG.force_limit)
+MINUTES = 111
 
-
-def _lqr(Q: tuple[float, ...] | None = None, R: float = 1.0, *, sign: bool = False) -> dpend.Controller:
-    lqr = LQR(RIG, Q=Q, R=R)
-    return BangBang(lqr, FORCE) if sign else lqr
-
-
-LAWS: Mapping[str, Callable[[], dpend.Controller]] = {
-    "LQR": _lqr,
-    "sign of stiff LQR": partial(_lqr, (1, 10, 10, 1, 1, 1), 0.1, sign=True),
-    "stiff LQR": partial(_lqr, (1, 10, 10, 1, 1, 1), 0.1),
-    "LQR, Bogdanov's weights": partial(_lqr, (5, 50, 50, 20, 700, 700), 1.0),
-    "LQR, cart let go": partial(_lqr, (0.01, 10, 10, 0.01, 10, 10), 0.1),
-    "sign of LQR, angles dear": partial(_lqr, (1, 100, 100, 1, 1, 1), 1.0, sign=True),
-    "sign of LQR, cart alone": partial(_lqr, (1, 0, 0, 0, 0, 0), 0.01, sign=True),
-}
-"""State feedback, cheap: tried on every start."""
-
-OPTIMAL, MPC, NONE = "optimal control", "iLQR MPC", "-"
-
-HORIZONS = (100, 150)
-"""Samples of the motions sought; the second only where the first asks for little more than there is."""
-
-_CLOSE = 1.1
-"""A force within this share of the limit is worth a second search."""
-_CHUNK = 50
+_CHUNK = 50  # starts a job
 
 
 def check_spreads(lam: tuple[float, ...]) -> None:
-    """Refuse what is no list of spreads.
+    """Refuse what is no list of greatest starting angles.
 
     Raises
     ------
     ValueError
-        If there is none, one is named twice, or one is no spread of starting angles.
+        If there is none, one is named twice, or one is no such angle.
     """
     if not lam:
-        raise ValueError("--lam needs at least one spread.")
+        raise ValueError("--lam needs at least one angle.")
     for each in lam:
         check_lam(each)
     if len(set(lam)) < len(lam):
-        raise ValueError(f"--lam names a spread twice; got {lam}.")
+        raise ValueError(f"--lam names an angle twice; got {lam}.")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_entrants.Options):
-    """What can be told on the command line."""
+class Options(_field.Options):
+    """Options of the command line."""
 
     lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-    """Spreads of the starting angles, rad."""
+    """Greatest starting angles, rad."""
     starts: int = 1000
-    """Starts at each spread."""
+    """Starts at each λ."""
     grid: int = 41
     """Points on each side of the map; none for no map.  One half is computed, the other is its mirror image."""
     extent: float = 0.8
     """Greatest angle on the map, rad."""
     planned: int = 200
-    """The first so many starts of ``planned_lam`` are met by iLQR MPC, whatever else saves them."""
+    """iLQR MPC is tried on the first so many starts of ``planned_lam``, whatever else saves them."""
     planned_lam: tuple[float, ...] = (0.3, 0.4)
-    """Spreads at which iLQR MPC is compared with what can be saved."""
+    """Each λ at which iLQR MPC is compared with what can be saved."""
     guesses: int = 0
     """Random guesses of optimal control beside the first one: a check that the least force is no mere local minimum."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.only:
-            raise ValueError("--only leaves nobody out here: every start is tried by all that may save it.")
+            raise ValueError("--only leaves out no contender here: every start is tried by all that may save it.")
         check_spreads(self.lam)
         self.check_least(1, "starts")
         self.check_least(0, "grid", "planned", "guesses")
         if not 0 < self.extent < math.pi / 2:
             raise ValueError(f"--extent must be between 0 and pi/2 rad; got {self.extent}.")
 
-    @property
-    def sizes(self) -> tuple[tuple[float, ...], int, int, int]:
-        """Spreads, starts at each, points on a side of the map, starts met by iLQR MPC; few where it must be quick."""
-        if self.quick:
-            return self.lam[-2:], min(self.starts, 4), min(self.grid, 3), min(self.planned, 1)
-        return self.lam, self.starts, self.grid, self.planned
-
-    @property
-    def yours(self) -> list[_entrants.Entrant]:
-        """The user's own controllers."""
-        return [entrant for entrant in self.entrants("balance") if entrant.source]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """One start."""
-
-    lam: float
-    """Its spread; NaN on the map."""
-    index: int
-    """Which of the starts of its spread, or of the map."""
-    th1: float
-    th2: float
-    recoverable: bool
-    by: str
-    """What saved it first; a dash where nothing did."""
-    least_force: float
-    """N; NaN where it was not sought, because feedback saves the start anyway."""
-    report: bool
-    """Whether it can be saved by the report's criterion: link 1 alone counts, so link 2 may swing round."""
-    lqr: bool
-    stiff_sign: bool
-    mpc: str
-    """Whether iLQR MPC saves it: yes, no, or a dash where it was not asked."""
-
-
-class Verdict(NamedTuple):
-    """What is found about one start; the same as in :class:`Row`."""
-
-    recoverable: bool
-    by: str
-    least_force: float
-    report: bool
-    lqr: bool
-    stiff_sign: bool
-    mpc: str
-
-
-# ----------------------------------------------------------------------------------------------------------- the search
-
-
-class Replay:
-    """Forces one after the other as they were planned, and a regulator's where none is planned any more.
-
-    Parameters
-    ----------
-    forces : ndarray (n, N)
-        A row for each run, N; NaN where the regulator acts.
-    regulator : Controller
-        What goes on afterwards.
-    """
-
-    name = "replay"
-
-    def __init__(self, forces: Array, regulator: dpend.Controller) -> None:
-        self.forces = forces
-        self.regulator = regulator
-
-    def start(self, n: int, rng: np.random.Generator) -> dpend.Act:
-        """Return the law for as many runs as there are rows."""
-        act, planned = self.regulator.start(n, rng), self.forces.T
-
-        def replay(t: float, y: Array) -> Array:
-            k = round(t / RIG.sample_time)
-            u = act(t, y)
-            return np.where(np.isnan(planned[k]), u, planned[k]) if k < len(planned) else u
-
-        return replay
-
-
-def holds(plan: Trajectory, x0: Array, task: dpend.Balance) -> bool:
-    """Return whether a plan's forces, replayed from its start for some time and followed by LQR, save the start.
-
-    Parameters
-    ----------
-    plan : Trajectory
-        The plan; its forces are clipped to the limit.
-    x0 : ndarray (6,)
-        The start, its angles within a quarter turn.
-    task : Balance
-        What counts as saved.
-
-    Returns
-    -------
-    bool
-    """
-    u = np.clip(plan.u, -FORCE, FORCE)
-    N = len(u)
-    forces = np.tile(u, (3, 1))
-    for row, last in enumerate((N, 3 * N // 4, N // 2)):
-        forces[row, last:] = np.nan
-    for position in (plan.x[-1, 0], 0.0):
-        regulator = LQR(RIG, Q=(1, 10, 10, 1, 1, 1), R=0.1, target=[position, 0, 0, 0, 0, 0])
-        if dpend.simulate_many(RIG, Replay(forces, regulator), np.tile(x0, (3, 1)), task=task).success.any():
-            return True
-    return False
-
-
-@cache
-def _search(horizon: int, round_it: bool = False) -> LeastForce:
-    limits = (math.pi / 2 - 0.01, math.inf if round_it else math.pi / 2 - 0.01)
-    return LeastForce(RIG, horizon=horizon * RIG.sample_time, angle_limits=limits)
-
-
-def optimal(x0: Array, task: dpend.Balance, guesses: int = 0) -> tuple[float, bool]:
-    """Return the least force that was found for a start, N, and whether its motion saves the start in the simulator.
-
-    Parameters
-    ----------
-    x0 : ndarray (6,)
-        The start.
-    task : Balance
-        What counts as saved; by the report's criterion, link 2 swings round the way it leans.
-    guesses : int
-        Random guesses beside the first.
-
-    Returns
-    -------
-    force : float
-        NaN where no motion was found.
-    saved : bool
-    """
-    round_it = task.criterion == "report"
-    begin = x0 - np.array([0, 0, 2 * math.pi * np.sign(x0[2]), 0, 0, 0]) if round_it else x0
-    least, saved = math.nan, False
-    for horizon in HORIZONS:
-        try:
-            plan = _search(horizon, round_it)(begin, guesses=guesses)
-        except NoTrajectory:
-            continue
-        least = float(np.fmin(least, plan.about["force"]))
-        saved = saved or holds(plan, x0, task)
-        if saved or least > _CLOSE * FORCE:
-            break
-    return least, saved
-
-
-def judge(
-    x0: Array,
-    task: dpend.Balance,
-    *,
-    everywhere: bool = False,
-    planned: int = 0,
-    guesses: int = 0,
-    yours: Sequence[_entrants.Entrant] = (),
-) -> list[Verdict]:
-    """Find out which starts can be saved, by what is cheapest first.
-
-    Parameters
-    ----------
-    x0 : ndarray (n, 6)
-        Starts.
-    task : Balance
-        What counts as saved.
-    everywhere : bool
-        Seek the least force even where feedback saves the start.
-    planned : int
-        The first so many starts are met by iLQR MPC, whatever else saves them.
-    guesses : int
-        Random guesses of optimal control beside the first.
-    yours : sequence of Entrant
-        Controllers that are asked where nothing else saves a start.
-
-    Returns
-    -------
-    list of Verdict
-    """
-    saves = {name: dpend.simulate_many(RIG, law(), x0, task=task).success for name, law in LAWS.items()}
-    by_report = dpend.simulate_many(RIG, LAWS["LQR"](), x0, task=replace(task, criterion="report")).success
-    mpc = ILQRMPC(RIG, upright_only=True)
-    others = {entrant.name: entrant.make(RIG, task) for entrant in yours}
-    verdicts = []
-    for i, start in enumerate(x0):
-        by = next((name for name, saved in saves.items() if saved[i]), NONE)
-        least = math.nan
-        if everywhere or by == NONE:
-            least, saved = optimal(start, task, guesses)
-            by = OPTIMAL if by == NONE and saved else by
-        asked = "-"
-        if i < planned or by == NONE:
-            asked = "yes" if _saves(mpc, start, task) else "no"
-            by = MPC if by == NONE and asked == "yes" else by
-        if by == NONE:
-            by = next((name for name, other in others.items() if _saves(other, start, task)), NONE)
-        report = by != NONE or bool(by_report[i]) or optimal(start, replace(task, criterion="report"))[1]
-        lqr, stiff = bool(saves["LQR"][i]), bool(saves["sign of stiff LQR"][i])
-        verdicts.append(Verdict(by != NONE, by, least, report, lqr, stiff, asked))
-    return verdicts
-
-
-def _saves(controller: dpend.Controller, start: Array, task: dpend.Balance) -> bool:
-    return bool(dpend.simulate_many(RIG, controller, start[None], task=task).success[0])
-
-
-# -------------------------------------------------------------------------------------------------------- the indicator
-
-
-class NullControllable(NamedTuple):
-    r"""The set of :math:`z = W x` that bounded force can bring to rest, in the unstable modes of a linearisation.
-
-    Attributes
-    ----------
-    rates : ndarray (2,)
-        :math:`\lambda_1 > \lambda_2 > 0`, 1/s.
-    W : ndarray (2, 6)
-        Left eigenvectors: :math:`\dot z_i = \lambda_i z_i + b_i u`.
-    boundary : ndarray (m, 2)
-        Points of its boundary in order, once round.
-    """
-
-    rates: Array
-    W: Array
-    boundary: Array
-
-    def share(self, x: npt.ArrayLike) -> Array:
-        """Return by which factor ``(n,)`` the set must grow to reach states ``(n, 6)``: inside, below 1."""
-        edge = np.roll(self.boundary, -1, axis=0) - self.boundary
-        outward = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
-        height = np.einsum("mi,mi->m", outward, self.boundary)
-        z = np.atleast_2d(np.asarray(x, dtype=np.float64)) @ self.W.T
-        shares: Array = np.max((z @ outward.T) / height, axis=1)
-        return shares
-
-    def at_rest(self) -> Array:
-        """Return the boundary's cut with the states at rest at the origin: points ``(m, 2)`` of (θ1, θ2)."""
-        cut: Array = np.linalg.solve(self.W[:, 1:3], self.boundary.T).T.astype(np.float64)
-        return cut
-
-
-def null_controllable(params: Params, force: float, points: int = 400) -> NullControllable:
-    r"""Return the null-controllable set of the upright linearisation's unstable modes under :math:`|u| \le F`.
-
-    It is :math:`\{-\int_0^\infty e^{-\Lambda s} b\, u(s)\, ds\}`.  The extremes of an integral over :math:`|u| \le F`
-    are attained by :math:`u = F\,\mathrm{sgn}(c^\top e^{-\Lambda s} b)`, which with two real rates changes sign once
-    at most, at :math:`\tau` say, so the boundary is
-
-    .. math:: z_i(\tau) = \pm \frac{b_i F}{\lambda_i} \bigl(1 - 2 e^{-\lambda_i \tau}\bigr), \quad \tau \ge 0.
-
-    A force held for samples gives the polygon of the points with :math:`\tau = k T`.  The stable and the neutral modes
-    (the cart) set no limit in the linear plant, the track's end and large angles do in the true one.
-
-    Parameters
-    ----------
-    params : Params
-        The plant.
-    force : float
-        :math:`F`, N.
-    points : int
-        Points on each of the two arcs.
-
-    Returns
-    -------
-    NullControllable
-
-    Notes
-    -----
-    Source: T. Hu, Z. Lin and L. Qiu, *An explicit description of null controllable regions of linear systems with
-    saturating actuators*, Systems & Control Letters 47, 2002; T. Hu and Z. Lin, *Control Systems with Actuator
-    Saturation*, 2001, chapter 2.
-    """
-    A, B = dpend.linearize(params)
-    every_rate, left = np.linalg.eig(A.T)
-    order = [i for i in np.argsort(-np.real(every_rate)) if np.real(every_rate[i]) > 1e-3]
-    W: Array = np.real(left[:, order]).T
-    rates: Array = np.real(every_rate[order])
-    reach = (W @ B)[:, 0] * force / rates
-    decay = np.linspace(0.0, 1.0, points + 1)[1:, None] ** (rates / rates.min())  # exp(-rate tau), slow mode evenly
-    arc = reach * (1 - 2 * decay)
-    ring = np.concatenate([arc, -arc])
-    turn = np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1))
-    return NullControllable(rates, W, ring if turn > 0 else ring[::-1])
-
 
 # ------------------------------------------------------------------------------------------------------------ the study
 
 
-def map_starts(options: Options) -> Array:
+@dataclass(frozen=True)
+class Job:
+    """Fifty starts, or what is left of them, at one λ or on the map."""
+
+    lam: float | None
+    """None on the map."""
+    first: int
+    starts: int
+    planned: int
+    """Of these iLQR MPC is tried on the first, whatever else saves them."""
+    side: int
+    """Points on a side of the map."""
+    extent: float
+    """Greatest angle on it, rad."""
+    guesses: int
+    seed: int
+    yours: tuple[Own, ...]
+
+
+def map_starts(side: int, extent: float) -> Array:
     """Return the starts of the computed half of the map ``(n, 6)``, row by row: θ1 > 0, or θ1 = 0 and θ2 >= 0."""
-    side = options.sizes[2]
-    angles = np.linspace(-options.extent, options.extent, side) if side > 1 else np.zeros(side)
+    angles = np.linspace(-extent, extent, side) if side > 1 else np.zeros(side)
     angles[np.abs(angles) < 1e-12] = 0.0
     th1, th2 = np.meshgrid(angles, angles, indexing="ij")
     half = (th1 > 0) | ((th1 == 0) & (th2 >= 0))
@@ -418,36 +129,37 @@ def map_starts(options: Options) -> Array:
 
 def jobs(options: Options) -> list[Job]:
     """List the work: fifty starts a job."""
-    lams, starts, _, _ = options.sizes
-    on_map = len(map_starts(options))
-    source = " ".join(entrant.source for entrant in options.yours)
-    return [Job(f"lam {lam:g}", k, source) for lam in lams for k in range(-(-starts // _CHUNK))] + [
-        Job("map", k, source) for k in range(-(-on_map // _CHUNK))
-    ]
+    lams, starts, side, planned = options.lam, options.starts, options.grid, options.planned
+    if options.quick:
+        lams, starts, side, planned = lams[-2:], min(starts, 4), min(side, 3), min(planned, 1)
+    of = dict.fromkeys(lams, starts) | {None: len(map_starts(side, options.extent))}
+    yours = tuple(contender.own for contender in options.contenders("balance") if contender.own)
+    return [
+        Job(
+            lam, first, min(_CHUNK, n - first),
+            planned=max(planned - first, 0) if lam in options.planned_lam else 0,
+            side=side if lam is None else 0, extent=options.extent if lam is None else 0.0,
+            guesses=options.guesses, seed=options.seed, yours=yours,
+        )
+        for lam, n in of.items()
+        for first in range(0, n, _CHUNK)
+    ]  # fmt: skip
 
 
-def run(job: Job, options: Options) -> Result:
+def run(job: Job) -> Result:
     """Judge fifty starts."""
-    lams, starts, _, planned = options.sizes
-    first = job.repetition * _CHUNK
-    if job.setting == "map":
-        lam, x0 = math.nan, map_starts(options)[first : first + _CHUNK]
-        verdicts = judge(x0, dpend.Balance(), everywhere=True, guesses=options.guesses, yours=options.yours)
+    if job.lam is None:
+        task, x0 = dpend.Balance(), map_starts(job.side, job.extent)
     else:
-        lam = next(lam for lam in lams if job.setting == f"lam {lam:g}")
-        task = dpend.Balance(lam=lam)
-        x0 = task.starts(np.random.default_rng([options.seed, 1]), starts, RIG)[first : first + _CHUNK]
-        met = max(planned - first, 0) if lam in options.planned_lam else 0
-        verdicts = judge(x0, task, planned=met, guesses=options.guesses, yours=options.yours)
+        task = dpend.Balance(lam=job.lam)
+        x0 = task.starts(np.random.default_rng([job.seed, 1]), job.first + job.starts, RIG)
+    x0 = x0[job.first : job.first + job.starts]
+    yours = [_field.find("", own) for own in job.yours]
+    verdicts = judge(x0, task, everywhere=job.lam is None, planned=job.planned, guesses=job.guesses, yours=yours)
     return Result(
         [
-            Row(
-                lam=lam,
-                index=first + i,
-                th1=round(float(start[1]), 5),
-                th2=round(float(start[2]), 5),
-                **rounded(verdict)._asdict(),
-            )
+            {"index": job.first + i, "th1": round(float(start[1]), 5), "th2": round(float(start[2]), 5)}
+            | rounded(verdict)._asdict()
             for i, (start, verdict) in enumerate(zip(x0, verdicts, strict=True))
         ]
     )
@@ -458,29 +170,21 @@ def rounded(verdict: Verdict) -> Verdict:
     return verdict._replace(least_force=round(verdict.least_force, 2))
 
 
-def table() -> Path:
-    """Return the table that is shipped: part of the package where it is installed, else in docs/results."""
-    return _study.kept_table("recoverable")
-
-
 @cache
-def _shipped_rows() -> tuple[Row, ...]:
-    return tuple(_study.read_rows(table(), Row))
+def shipped_rows() -> pd.DataFrame:
+    """Return the rows of the table that is shipped."""
+    return read_rows(kept_table("recoverable"))
 
 
 def shipped() -> dict[float, npt.NDArray[np.bool_]]:
-    """Return which starts are recoverable, by spread: row ``i`` is start ``i`` of seed 0, from the shipped table.
+    """Return which starts are recoverable, by λ: row ``i`` is start ``i`` of seed 0, from the shipped table.
 
     Returns
     -------
     dict
         Arrays ``(n,)`` of the starts ``Balance(lam).starts(default_rng([0, 1]), n, rig)``.
     """
-    rows = [row for row in _shipped_rows() if not math.isnan(row.lam)]
-    return {
-        lam: np.array([row.recoverable for row in sorted(rows, key=lambda row: row.index) if row.lam == lam])
-        for lam in sorted({row.lam for row in rows})
-    }
+    return {lam: own["recoverable"].to_numpy() for lam, own in _by_lam(shipped_rows()).items()}
 
 
 def shipped_map() -> tuple[Array, Array]:
@@ -493,75 +197,65 @@ def shipped_map() -> tuple[Array, Array]:
     force : ndarray (m, m)
         N, by θ2 and θ1; NaN where no motion was found.
     """
-    return _mirrored([row for row in _shipped_rows() if math.isnan(row.lam)], lambda row: row.least_force)
+    on_map = _on_map(shipped_rows())
+    return _mirrored(on_map, on_map["least_force"])
 
 
-def _mirrored(rows: list[Row], value: Callable[[Row], float]) -> tuple[Array, Array]:
+def _on_map(rows: pd.DataFrame) -> pd.DataFrame:
+    return rows.loc[rows["lam"].isna()]
+
+
+def _by_lam(rows: pd.DataFrame) -> dict[float, pd.DataFrame]:
+    """Return the random starts by λ, each in the order in which they were drawn."""
+    return {float(str(lam)): own.sort_values("index") for lam, own in rows.groupby("lam")}
+
+
+def _mirrored(on_map: pd.DataFrame, values: npt.ArrayLike) -> tuple[Array, Array]:
     """Return the angles of a map, and what is known of its computed half over the whole of it, by θ2 and θ1."""
-    angles = sorted({sign * angle for row in rows for angle in (row.th1, row.th2) for sign in (1, -1)})
-    place = {angle: i for i, angle in enumerate(angles)}
+    half = on_map[["th1", "th2"]].to_numpy()
+    both = np.concatenate([half, -half]) + 0.0  # no minus zero
+    angles, places = np.unique(both, return_inverse=True)
+    across, upwards = places.reshape(both.shape).T
     whole = np.full((len(angles), len(angles)), np.nan)
-    for row in rows:
-        for sign in (1, -1):
-            whole[place[sign * row.th2], place[sign * row.th1]] = value(row)
-    return np.array(angles), whole
+    whole[upwards, across] = np.tile(np.asarray(values, dtype=np.float64), 2)
+    return angles, whole
 
 
-# -------------------------------------------------------------------------------------------------- figures and summary
+# --------------------------------------------------------------------------------------------------------------- report
 
-_CURVES = {
-    "recoverable by the report's criterion (link 1 alone)": ("#777777", "v", ":", lambda row: row.report),
-    "recoverable": ("k", "o", "-", lambda row: row.recoverable),
-    "sign of stiff LQR": ("#D55E00", "^", "--", lambda row: row.stiff_sign),
-    "LQR": ("#0072B2", "s", "-.", lambda row: row.lqr),
+_CURVES: dict[str, tuple[Style, str]] = {
+    "recoverable by the report's criterion (link 1 alone)": (("#777777", "v", ":"), "report"),
+    "recoverable": (("k", "o", "-"), "recoverable"),
+    "sign of stiff LQR": (("#D55E00", "^", "--"), "stiff_sign"),
+    "LQR": (("#0072B2", "s", "-."), "lqr"),
 }
 
 
-def _random(rows: list[Row]) -> dict[float, list[Row]]:
-    lams = sorted({row.lam for row in rows if not math.isnan(row.lam)})
-    return {lam: [row for row in rows if row.lam == lam] for lam in lams}
+def report(table: Table) -> Report:
+    """Draw the share that can be saved against λ, and the map; tabulate what saves it."""
+    by_lam = _by_lam(table.rows)
+    shares = {
+        name: {lam: share(own[column], len(own)) for lam, own in by_lam.items()}
+        for name, (_, column) in _CURVES.items()
+    }  # fmt: skip
+    figure, ((axis,),) = facets(1, height=3.8)
+    curves(axis, shares, [style for style, _ in _CURVES.values()])
+    share_axis(axis, "starts saved")
+    axis.set_xlabel("greatest starting angle λ (rad)")
+    axis.legend(loc="lower left")
+    figures = {"": figure}
+    on_map = _on_map(table.rows)
+    if len(on_map):
+        figures["_map"], ((axis,),) = facets(1, height=6.0)
+        _plot_map(axis, on_map)
+    return Report(figures=figures, tables=[_shares_table(by_lam, shares), _ways_table(by_lam), *_planned_table(by_lam)])
 
 
-def _rate(chosen: list[Row], what: Callable[[Row], bool]) -> Rate:
-    return wilson(sum(map(what, chosen)), len(chosen))
-
-
-def plot(rows: list[Row], traces: Traces) -> dict[str, Figure]:
-    """Draw the share that can be saved against the spread, and the map."""
-    figures = {}
-    curves = Figure(figsize=(6.3, 3.8), layout="constrained")
-    _plot_curves(curves.subplots(), rows)
-    figures[""] = curves
-    on_map = [row for row in rows if math.isnan(row.lam)]
-    if on_map:
-        charted = Figure(figsize=(6.3, 5.6), layout="constrained")
-        _plot_map(charted.subplots(), on_map)
-        figures["_map"] = charted
-    return figures
-
-
-def _plot_curves(axis: Axes, rows: list[Row]) -> None:
-    by_lam = _random(rows)
-    for place, (name, (colour, marker, line, what)) in enumerate(_CURVES.items()):
-        rates = [_rate(chosen, what) for chosen in by_lam.values()]
-        aside = np.array(list(by_lam)) + 0.002 * (place - 1.5)
-        error = np.array([[r.share - r.low, r.high - r.share] for r in rates]).T
-        axis.errorbar(
-            aside, [r.share for r in rates], error,
-            color=colour, marker=marker, ls=line, ms=5, capsize=3, lw=1.4, label=name,
-        )  # fmt: skip
-    axis.set(xlabel="starting spread λ (rad)", ylabel="starts", ylim=(-0.03, 1.03))
-    axis.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axis.grid(alpha=0.3)
-    axis.legend(fontsize=8, loc="lower left")
-
-
-def _plot_map(axis: Axes, rows: list[Row]) -> None:
+def _plot_map(axis: Axes, rows: pd.DataFrame) -> None:
     """Draw what saves each start, the least force as contours, and the indicator's boundary."""
-    angles, kind = _mirrored(
-        rows, lambda row: 0 if not row.recoverable else 3 if row.lqr else 2 if row.by in LAWS else 1
-    )
-    force = _mirrored(rows, lambda row: row.least_force)[1]
+    feedback = np.where(rows["lqr"], 3, np.where(rows["by"].isin(list(LAWS)), 2, 1))
+    angles, kind = _mirrored(rows, np.where(rows["recoverable"], feedback, 0))
+    force = _mirrored(rows, rows["least_force"])[1]
     colours = ["#f0f0f0", "#b8b8b8", "#8ab6dc", "#2d6da8"]
     words = ["not found", "only optimal control or others", "another LQR or its sign", "LQR, Q = I, R = 1"]
     axis.pcolormesh(angles, angles, kind, cmap=ListedColormap(colours), vmin=-0.5, vmax=3.5, shading="nearest")
@@ -572,60 +266,54 @@ def _plot_map(axis: Axes, rows: list[Row]) -> None:
     (line,) = axis.plot(*np.vstack([ring, ring[:1]]).T, "--", color="#D55E00", lw=1.6)
     patches = [Patch(facecolor=colour, edgecolor="k", lw=0.4) for colour in reversed(colours)]
     axis.legend(
-        [*patches, line], [*reversed(words), "null-controllable set of the linearisation, 40 N"],
-        fontsize=7.5, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False,
+        [*patches, line], [*reversed(words), "null-controllable set of the linearization, 40 N"],
+        ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0),
     )  # fmt: skip
     limits = 1.02 * angles[0] - 0.02, 1.02 * angles[-1] + 0.02
     axis.set(xlabel="θ1 (rad)", ylabel="θ2 (rad)", xlim=limits, ylim=limits, aspect="equal")
-    axis.grid(alpha=0.2)
 
 
-def _cell(rate: Rate) -> str:
-    return f"{100 * rate.share:.1f} \\[{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+def _shares_table(by_lam: Mapping[float, pd.DataFrame], shares: Mapping[str, Mapping[float, Estimate]]) -> Sheet:
+    counts: dict[str, Value] = {"": "starts", **{f"λ = {lam:g}": len(own) for lam, own in by_lam.items()}}
+    lines = [{"": name} | {f"λ = {lam:g}": each for lam, each in of.items()} for name, of in shares.items()]
+    return sheet("Starts that are saved, %", [counts, *reversed(lines)], ".1%", brief={"", *list(counts)[-4:]})
 
 
-def summary(rows: list[Row], traces: Traces) -> RenderableType:
-    """Condense the table: what can be saved by spread, by what, and how much of it iLQR MPC and LQR save."""
-    by_lam = _random(rows)
-    shares = Table(title="Starts, %, with 95 % intervals")
-    shares.add_column("")
-    for lam, chosen in by_lam.items():
-        shares.add_column(f"λ = {lam:g}\nn = {len(chosen)}", justify="right")
-    for name, (*_, what) in reversed(_CURVES.items()):
-        shares.add_row(name, *(_cell(_rate(chosen, what)) for chosen in by_lam.values()))
-
-    ways = Table(title="What saved a start first, in this order")
-    ways.add_column("")
-    for lam in by_lam:
-        ways.add_column(f"λ = {lam:g}", justify="right")
+def _ways_table(by_lam: Mapping[float, pd.DataFrame]) -> Sheet:
     ours = (*LAWS, OPTIMAL, MPC)
-    yours = dict.fromkeys(row.by for row in rows if row.by not in (*ours, NONE))
-    for name in (*ours, *yours, NONE):
-        counts = (sum(row.by == name for row in chosen) for chosen in by_lam.values())
-        ways.add_row("not found" if name == NONE else name, *map(str, counts))
+    yours = dict.fromkeys(by for own in by_lam.values() for by in own["by"] if by not in (*ours, NONE))
+    lines = [
+        {"": "not found" if name == NONE else name}
+        | {f"λ = {lam:g}": int(np.sum(own["by"] == name)) for lam, own in by_lam.items()}
+        for name in (*ours, *yours, NONE)
+    ]
+    return sheet("What saved a start first, in this order", lines)
 
-    share = Table(title="Of the recoverable among the first starts: saved, %, with 95 % intervals")
-    for heading in ("λ", "first", "recoverable", "LQR", "sign of stiff LQR", "iLQR MPC"):
-        share.add_column(heading, justify="right")
-    for lam, chosen in by_lam.items():
-        first = [row for row in chosen if row.index < _met(chosen)]
-        can = [row for row in first if row.recoverable]
-        if can:
-            cells = (
-                _cell(_rate(can, what)) for what in (lambda r: r.lqr, lambda r: r.stiff_sign, lambda r: r.mpc == "yes")
+
+def _planned_table(by_lam: Mapping[float, pd.DataFrame]) -> list[Sheet]:
+    lines: list[dict[str, Value]] = []
+    for lam, own in by_lam.items():
+        first = own[own["index"] < _planned(own)]
+        can = first[first["recoverable"]]
+        if len(can):
+            saved = {
+                "LQR, %": can["lqr"],
+                "sign of stiff LQR, %": can["stiff_sign"],
+                "iLQR MPC, %": can["mpc"] == "yes",
+            }
+            lines.append(
+                {"λ": f"{lam:g}", "first": len(first), "recoverable": len(can)}
+                | {name: share(each, len(can)) for name, each in saved.items()}
             )
-            share.add_row(f"{lam:g}", str(len(first)), str(len(can)), *cells)
-    return Group(shares, ways, share)
+    return [sheet("Of the recoverable among the first starts: saved, %", lines)] if lines else []
 
 
-def _met(rows: list[Row]) -> int:
-    """Return how many of the first starts iLQR MPC met without a gap, if it met any that feedback saves."""
-    met = {row.index for row in rows if row.mpc != "-"}
-    n = 0
-    while n in met:
-        n += 1
-    return n if any(row.lqr for row in rows if row.index < n) else 0
+def _planned(rows: pd.DataFrame) -> int:
+    """Return on how many of the first starts iLQR MPC was tried without a gap, if on any that feedback saves."""
+    tried = (rows["mpc"] != "-").to_numpy()
+    n = len(tried) if tried.all() else int(np.argmin(tried))
+    return n if rows["lqr"].to_numpy()[:n].any() else 0
 
 
 if __name__ == "__main__":
-    _study.main("studies.recoverable")
+    _runner.main("studies.recoverable")

@@ -1,16 +1,16 @@
-"""Who still balances, and who still swings up, when the rig is not what was promised?
+"""Which controllers still balance, and still swing up, when the rig is not what was promised?
 
 Method: gustafsson2016 (±40 N, ±2.4 m, 0.02 s) is changed behind the back of controllers that believe in it, 10 s a
 run: balance from λ = 0.1, swing-up from hanging with both angles moved by ±0.1 rad.  (a) RealAIGym's six axes: one
 parameter of twelve wrong by up to 25 %, noise of the rates, noise of the force, a slow force, measurements late by 20
 and 40 ms, pushes.  (b) All parameters wrong by up to 20 % at once, on the plants of a scrambled Sobol sequence.
-(c) Sensors that give positions only, noisy, rounded or late, and a slow force, through first differences or an
-estimator.  Everyone meets the same starts, noise, pushes and plants; those that take long meet the first of them, NMPC
+(c) Sensors that measure positions only, noisy, rounded or late, and a slow force, through first differences or an
+estimator.  All contenders have the same starts, noise, pushes and plants; those that take long the first of them, NMPC
 none unless asked for.  The robustness score is the success in the settings of (a), the nominal one left out, the mean
 over its six axes.
 
-Finding: one wrong parameter and noise of the force hurt hardly anyone who balances.  Two samples of delay fell nearly
-all but the linear laws and SDRE; pushes of a fifth of RealAIGym's largest fell nearly everyone.
+Finding: one wrong parameter and noise of the force hurt hardly any that balances.  With two samples of delay nearly all
+fail but the linear laws and SDRE; with pushes of a fifth of RealAIGym's largest nearly all fail.
 Scores at balancing: LSPI 86.7, LQR 84.8, iLQR MPC 76 [72, 80], Q-learning tuned 72.9, PPO and DDPG trained to swing up
 66.2 and 58.6 %.  At swinging up: iLQR MPC 83 [71, 96], TVLQR 65.1 %; wrong by 20 % in everything 56 [39, 72] and
 10 [7, 14] %.  Behind EKF or UKF, LQR and TVLQR bear three samples of delay always; through differences LQR bears one,
@@ -19,57 +19,46 @@ TVLQR none.  From the default options, kept in docs/results/robustness.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, get_args
+from functools import partial
+from typing import get_args
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
-from rich.console import Group, RenderableType
 
 from dpend.params import Array
 
-from . import _entrants, _study
-from ._entrants import ENTRANTS, RIG, Entrant, Style, Task, styles
-from ._intervals import Crossing, Rate, Tail, crossing, wilson, worst_cases
-from ._page import Cell, Column, markdown, terminal
-from ._perturbations import (
-    AXES,
-    GROUPS,
-    NOMINAL,
-    PARAMETERS,
-    SENSORS,
-    VIEWS,
-    Axis,
-    mean_share,
-    meet,
-    meet_plants,
-    meet_sensors,
-    of_groups,
-    realaigym,
-    task_of,
-    views,
-)
-from ._perturbations import score as score_of
-from ._study import Job, Result, Traces
+from . import _field, _perturbations, _runner
+from ._estimates import Estimate, crossing, mean_share, share, worst_cases
+from ._field import CONTENDERS, RIG, Contender, Cost, TaskName, find, styles
+from ._figures import Curve, Style, curves, facets, forest, heat_map, intervals, legend_above, share_axis
+from ._own import Own
+from ._perturbations import AXES, GROUPS, NOMINAL, PARAMETERS, SENSORS, VIEWS, Axis, of_groups, realaigym, views
+from ._runner import Report, Result, Table, where
+from ._tables import Cell, Sheet, Value, cell, sheet
 
-TASKS: tuple[Task, ...] = get_args(Task)
+MINUTES = 60
+
+TASKS: tuple[TaskName, ...] = get_args(TaskName)
+_STARTS_A_PLANT = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_entrants.Options):
-    """What can be told on the command line."""
+class Options(_field.Options):
+    """Options of the command line."""
 
     starts: int = 100
     """Starts of each setting of the six axes, and a tenth of them of each setting of the sensors."""
     slow_starts: int = 5
-    """Starts for those that take long."""
+    """Starts of those that take long."""
     plants: int = 256
     """Plants that are wrong in everything at once, a power of two; an eighth of them for those that take long."""
     all: bool = False
-    """Let those that take long meet the sensors too, and NMPC, which takes hours, everything."""
+    """Evaluate those that take long with the sensors too, and NMPC, which takes hours, on everything."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -77,182 +66,116 @@ class Options(_entrants.Options):
         if self.plants < 16 or self.plants & (self.plants - 1):
             raise ValueError(f"--plants must be a power of two, at least 16; got {self.plants}.")
 
-    def taking_part(self, task: Task) -> list[Entrant]:
+    def contenders(self, task: TaskName) -> list[Contender]:
         """Return those that do a task and are not too slow; where it must be quick, two of ours and the user's own."""
         return [
-            entrant
-            for entrant in self.entrants(task)
-            if (entrant.part >= 0.1 or self.all or entrant.name in self.only)
-            and (not self.quick or entrant.source or entrant.name in (*self.only, "LQR", "TVLQR"))
+            contender
+            for contender in super().contenders(task)
+            if (contender.cost is not Cost.EXPENSIVE or self.all or contender.name in self.only)
+            and (not self.quick or contender.own or contender.name in (*self.only, "LQR", "TVLQR"))
         ]
 
-    def starts_of(self, entrant: Entrant) -> int:
-        """Return the starts that somebody meets in each setting."""
-        return 2 if self.quick else self.starts if _fast(entrant) else min(self.starts, self.slow_starts)
+    def starts_of(self, contender: Contender) -> int:
+        """Return the starts of a contender in each setting."""
+        cheap = contender.cost is Cost.CHEAP
+        return 2 if self.quick else self.starts if cheap else min(self.starts, self.slow_starts)
 
-    def plants_of(self, entrant: Entrant) -> int:
-        """Return the plants that somebody meets."""
-        return 16 if self.quick else self.plants if _fast(entrant) else self.plants // 8
-
-
-_STARTS_A_PLANT = 4
-
-
-def _fast(entrant: Entrant) -> bool:
-    return entrant.part >= 1.0
+    def plants_of(self, contender: Contender) -> int:
+        """Return the plants of a contender."""
+        return 16 if self.quick else self.plants if contender.cost is Cost.CHEAP else self.plants // 8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
-    """One controller in one setting."""
+class Job:
+    """One contender at one task along one axis, or on all plants."""
 
-    controller: str
-    task: str
+    contender: str
+    task: TaskName
     part: str
     """axes, plants or sensors."""
-    axis: str
-    view: str
-    """What stands between sensors and controller; a dash where the state is measured."""
-    level: float
-    """Level of the axis, or number of the plant."""
-    runs: int
-    successes: int
-    outcomes: str
-    """An x and hexadecimal digits whose bits, the first start first, say which starts succeeded."""
-
-
-def _packed(outcomes: Array) -> str:
-    """Write outcomes, one a start, as an x and hexadecimal digits."""
-    return f"x{np.packbits(outcomes.astype(bool)).tobytes().hex()}"
-
-
-def _unpacked(row: Row) -> Array:
-    bits = np.frombuffer(bytes.fromhex(row.outcomes[1:]), dtype=np.uint8)
-    return np.unpackbits(bits, count=row.runs).astype(np.float64)
-
-
-class Case(NamedTuple):
-    """What a job is about."""
-
-    controller: str
-    task: Task
-    part: str
     axis: str = "-"
     view: str = "-"
-
-    @property
-    def setting(self) -> str:
-        """One string for all."""
-        return " + ".join(self)
-
-
-def cases(options: Options) -> Iterator[tuple[Case, Entrant]]:
-    """List what is tried."""
-    for task in TASKS:
-        for entrant in options.taking_part(task):
-            for axis in (NOMINAL, *AXES):
-                yield Case(entrant.name, task, "axes", axis.name), entrant
-            yield Case(entrant.name, task, "plants"), entrant
-            if _fast(entrant) or entrant.source or options.all:
-                for axis in SENSORS:
-                    for view in views(axis):
-                        yield Case(entrant.name, task, "sensors", axis.name, view), entrant
+    """What stands between sensors and controller; a dash where the state is measured."""
+    starts: int
+    """At each level, or on each plant."""
+    plants: int = 0
+    seed: int
+    own: Own | None
 
 
 def jobs(options: Options) -> list[Job]:
-    """List the work: each controller on each axis, on all plants, and on each sensor axis through each view."""
-    return [Job(case.setting, 0, entrant.source) for case, entrant in cases(options)]
+    """List the work, what takes longest first."""
+    found = []
+    for task in TASKS:
+        for contender in options.contenders(task):
+            starts = options.starts_of(contender)
+            job = partial(Job, contender=contender.name, task=task, seed=options.seed, own=contender.own)
+            found += [job(part="axes", axis=axis.name, starts=starts) for axis in (NOMINAL, *AXES)]
+            found += [job(part="plants", starts=_STARTS_A_PLANT, plants=options.plants_of(contender))]
+            if contender.cost is Cost.CHEAP or contender.own or options.all:
+                few = -(-starts // 10) if contender.cost is Cost.CHEAP else starts
+                found += [
+                    job(part="sensors", axis=axis.name, view=view, starts=few)
+                    for axis in SENSORS
+                    for view in views(axis)
+                ]
+    return sorted(found, key=lambda job: find(job.contender, job.own).cost.value)
 
 
-def run(job: Job, options: Options) -> Result:
-    """Let one controller meet one axis, or the plants."""
-    name, task, *rest = job.setting.split(" + ")
-    assert task in TASKS
-    case = Case(name, task, *rest)
-    entrant = options.entrant(name)
-    what = task_of(task, 2.0) if options.quick else task_of(task)
-    controller = entrant.make(RIG, what)
-    starts = options.starts_of(entrant)
-    if case.part == "plants":
-        met = meet_plants(controller, what, options.plants_of(entrant), _STARTS_A_PLANT, options.seed)
-        return Result(_rows(case, range(len(met)), met))
-    (axis,) = (each for each in (SENSORS if case.part == "sensors" else (NOMINAL, *AXES)) if each.name == case.axis)
-    if case.part == "axes":
-        met = meet(controller, what, axis, starts, options.seed)
+def run(job: Job) -> Result:
+    """Evaluate; a row a level or plant, and which starts succeeded at each, ``(starts, levels)``."""
+    task = _perturbations.task_of(job.task)
+    controller = find(job.contender, job.own).make(RIG, task)
+    if job.part == "plants":
+        levels: Sequence[float] = range(job.plants)
+        outcomes = _perturbations.evaluate_on_plants(controller, task, job.plants, job.starts, job.seed).T
+    elif job.part == "axes":
+        axis = next(axis for axis in (NOMINAL, *AXES) if axis.name == job.axis)
+        levels, outcomes = axis.levels, _perturbations.evaluate(controller, task, axis, job.starts, job.seed)
     else:
-        starts = -(-starts // 10) if _fast(entrant) else starts
-        met = meet_sensors(controller, what, axis, case.view, starts, options.seed)
-    return Result(_rows(case, axis.levels, met.T))
-
-
-def _rows(case: Case, levels: Sequence[float], outcomes: Array) -> list[Row]:
-    """Return a row a level; outcomes ``(levels, starts)``."""
-    return [
-        Row(
-            **case._asdict(),
-            level=float(f"{level:.6g}"),
-            runs=len(met),
-            successes=int(met.sum()),
-            outcomes=_packed(met),
-        )
-        for level, met in zip(levels, outcomes, strict=True)
+        axis = next(axis for axis in SENSORS if axis.name == job.axis)
+        levels = axis.levels
+        outcomes = _perturbations.evaluate_with_sensors(controller, task, axis, job.view, job.starts, job.seed)
+    rows = [
+        {"level": float(f"{level:.6g}"), "runs": len(of), "successes": int(of.sum())}
+        for level, of in zip(levels, outcomes.T, strict=True)
     ]
+    return Result(rows, {"outcomes": outcomes.astype(np.bool_)})
 
 
 # ------------------------------------------------------------------------------------------------- what the table says
 
 
-def _chosen(rows: list[Row], **wanted: str) -> list[Row]:
-    return [row for row in rows if all(getattr(row, name) == value for name, value in wanted.items())]
-
-
-def outcomes_of(rows: list[Row], controller: str, task: Task) -> dict[str, Array]:
-    """Return the outcomes ``(starts, levels)`` of a controller by the name of the axis.
-
-    Parameters
-    ----------
-    rows : list of Row
-        The table.
-    controller : str
-        Its name.
-    task : {"balance", "swing-up"}
-        The task.
-
-    Returns
-    -------
-    dict
+def outcomes_of(table: Table, contender: str, task: TaskName) -> dict[str, Array]:
+    """Return the outcomes ``(starts, levels)`` of a contender at a task by the name of the axis.
 
     Raises
     ------
     KeyError
         If the table has nothing of it.
     """
-    own: dict[str, list[Row]] = {}
-    for row in _chosen(rows, controller=controller, task=task, part="axes"):
-        own.setdefault(row.axis, []).append(row)
-    if not own:
-        raise KeyError(f"The table says nothing of {controller!r} at the task {task!r}.")
-    return {
-        name: np.stack([_unpacked(row) for row in sorted(of, key=lambda row: row.level)], axis=1)
-        for name, of in own.items()
-    }
+    own = {"contender": contender, "task": task, "part": "axes"}
+    axes = table.where(**own)["axis"].unique()
+    if not len(axes):
+        raise KeyError(f"The table says nothing of {contender!r} at the task {task!r}.")
+    return {axis: table.array("outcomes", **own, axis=axis).astype(np.float64) for axis in axes}
 
 
-def score(rows: list[Row], controller: str, task: Task) -> Rate:
+def score(table: Table, contender: str, task: TaskName) -> Estimate:
     """Return the robustness score: success in perturbed settings, the mean over RealAIGym's six axes.
 
     Parameters
     ----------
-    rows : list of Row
+    table : Table
         The table.
-    controller : str
+    contender : str
         Its name.
     task : {"balance", "swing-up"}
         The task.
 
     Returns
     -------
-    Rate
+    Estimate
         The nominal level is not counted; 95 % over starts.
 
     Raises
@@ -260,377 +183,253 @@ def score(rows: list[Row], controller: str, task: Task) -> Rate:
     KeyError
         If the table has nothing of it.
     """
-    return score_of(outcomes_of(rows, controller, task))
+    return _perturbations.score(outcomes_of(table, contender, task))
 
 
-def rate(rows: list[Row]) -> Rate:
-    """Return the share of runs that succeeded, with Wilson's interval."""
-    return wilson(sum(row.successes for row in rows), sum(row.runs for row in rows))
+def breaking(outcomes: Mapping[str, Array], axis: Axis, sign: int = 1) -> Estimate:
+    """Return the level of an axis, without its sign, at which success falls to 50 % on one side of nominal.
 
-
-def breaking(outcomes: dict[str, Array], axis: Axis, sign: int = 1) -> Crossing:
-    """Return the level of an axis at which success falls to 50 %, to either side of nominal.
-
-    Parameters
-    ----------
-    outcomes : dict
-        Outcomes ``(starts, levels)`` by the name of the axis.
-    axis : Axis
-        The axis.
-    sign : {1, -1}
-        To which side.
-
-    Returns
-    -------
-    Crossing
-        The magnitude; infinite where success stays, minus infinite where half of the nominal runs fail already.
+    It is infinite where success stays, minus infinite where half of the nominal runs fail already.
     """
-    levels = sign * np.array(sorted(axis.levels))
-    side = np.flatnonzero(levels > 0)
-    side = side[np.argsort(levels[side])]
-    met = np.concatenate([outcomes[NOMINAL.name], outcomes[axis.name][:, side]], axis=1)
-    return crossing(np.concatenate([[0.0], levels[side]]), met)
+    levels = sign * np.array(axis.levels)
+    side = [i for i in np.argsort(levels) if levels[i] > 0]
+    found = np.concatenate([outcomes[NOMINAL.name], outcomes[axis.name][:, side]], axis=1)
+    return crossing([0.0, *levels[side]], found)
 
 
-def weakest(outcomes: dict[str, Array]) -> tuple[str, int, Crossing]:
+def weakest(outcomes: Mapping[str, Array]) -> tuple[str, int, Estimate]:
     """Return the parameter, the sign and the size of the least error of one parameter that halves success."""
     sides = [(axis, sign) for axis in AXES if axis.name in PARAMETERS for sign in (-1, 1)]
     least, axis, sign = min(
         ((breaking(outcomes, axis, sign), axis, sign) for axis, sign in sides),
-        key=lambda found: (found[0].level, outcomes[found[1].name][:, 0 if found[2] < 0 else -1].mean()),
+        key=lambda found: (found[0].value, outcomes[found[1].name][:, 0 if found[2] < 0 else -1].mean()),
     )
     return axis.name, sign, least
 
 
-def on_plants(rows: list[Row], controller: str, task: Task) -> tuple[Rate, Tail]:
-    """Return the mean success over plants, and the worst tenth of them with the worst of all."""
-    own = _chosen(rows, controller=controller, task=task, part="plants")
-    shares = [row.successes / row.runs for row in own]
-    return mean_share(shares, sum(row.runs for row in own)), worst_cases(shares, 0.1)
+def on_plants(table: Table, contender: str, task: TaskName) -> tuple[Array, Estimate, Estimate]:
+    """Return the shares of success, plant by plant, their mean, and that of the worst tenth."""
+    outcomes = table.array("outcomes", contender=contender, task=task, part="plants")
+    shares = outcomes.mean(axis=0)
+    return shares, mean_share(shares, outcomes.size), worst_cases(shares, 0.1)
 
 
-# ------------------------------------------------------------------------------------------------------------- figures
+# -------------------------------------------------------------------------------------------------------------- report
 
-
-_LEARNED = {entrant.name for entrant in ENTRANTS if entrant.policy}
-_VIEW_STYLES = {
+_LEARNED = {contender.name for contender in CONTENDERS if contender.policy or contender.learner}
+_VIEW_STYLES: dict[str, Style] = {
     "rates measured": ("#000000", "X", ":"),
     "differences": ("#D55E00", "s", "--"),
     "differences, Predictor": ("#CC79A7", "v", "-."),
     "EKF": ("#0072B2", "o", "-"),
     "UKF": ("#009E73", "^", (0, (6, 1, 1, 1))),
 }
+_TITLES = {"balance": "balance", "swing-up": "swing-up from hanging"}
 
 
-def _present(rows: list[Row], task: Task, part: str = "axes") -> dict[str, Style]:
-    """Return who took part, in the order in which they are always named, and how each is drawn."""
-    return styles(row.controller for row in _chosen(rows, task=task, part=part))
+def _present(table: Table, task: TaskName, part: str = "axes") -> dict[str, Style]:
+    """Return those that took part, in the order in which they are always named, and how each is drawn."""
+    return styles(table.where(task=task, part=part)["contender"])
 
 
-def plot(rows: list[Row], traces: Traces) -> dict[str, Figure]:
-    """Draw the overview, success against level for both tasks, single parameters, plants, and sensors."""
-    tasks: list[Task] = [task for task in TASKS if _present(rows, task)]
-    curves = {f"_{task.replace('-', '_')}": _plot_axes(rows, task) for task in tasks}
-    figures = {"": _plot_overview(rows, tasks), "_parameters": _plot_parameters(rows, tasks), **curves}
-    figures["_plants"] = _plot_plants(rows, tasks)
-    if any(row.part == "sensors" for row in rows):
-        figures["_sensors"] = _plot_sensors(rows)
-    return figures
+def _each(table: Table, part: str = "axes") -> Iterator[tuple[str, TaskName]]:
+    """Return those that took part, task by task."""
+    return ((name, task) for task in TASKS for name in _present(table, task, part))
+
+
+def report(table: Table) -> Report:
+    """Draw the overview, single parameters, success against level for both tasks, plants and sensors; tabulate them."""
+    tasks: list[TaskName] = [task for task in TASKS if _present(table, task)]
+    figures = {
+        "": _heat_maps(table, _overview, (0.5, len(GROUPS) + 0.5, len(GROUPS) + 1.5)),
+        "_parameters": _heat_maps(table, _least),
+    }
+    figures |= {f"_{task.replace('-', '_')}": _plot_axes(table, task) for task in tasks}
+    figures["_plants"] = _plot_plants(table, tasks)
+    if "sensors" in set(table.rows["part"]):
+        figures["_sensors"] = _plot_sensors(table)
+    tables = (_scores(table), _breaks(table), _plants(table), _sensors(table))
+    return Report(figures=figures, tables=[each for each in tables if each.lines])
 
 
 def _heat_maps(
-    tasks: list[Task],
-    names: dict[Task, list[str]],
-    columns: list[str],
-    values: dict[Task, Array],
-    lines: Sequence[float],
+    table: Table, line: Callable[[Table, str, TaskName], Mapping[str, float]], lines: Sequence[float] = ()
 ) -> Figure:
-    """Draw shares as numbers on colours: a panel a task, a row a controller."""
-    heights = [len(names[task]) for task in tasks]
-    figure = Figure(figsize=(7.0, 1.3 + 0.24 * sum(heights) + 0.35 * len(tasks)), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(len(tasks), 1, sharex=True, height_ratios=heights))
-    for axis, task in zip(axes, tasks, strict=True):
-        axis.imshow(values[task], vmin=0, vmax=1, cmap="cividis", aspect="auto")
-        for (i, j), value in np.ndenumerate(values[task]):
-            if np.isfinite(value):
-                colour = "k" if value > 0.45 else "w"
-                axis.text(j, i, f"{100 * value:.0f}", ha="center", va="center", fontsize=7.5, color=colour)
-        for line in lines:
-            axis.axvline(line, color="w", lw=3)
-        axis.set_yticks(range(len(names[task])), names[task], fontsize=8)
-        axis.set_title({"balance": "balance", "swing-up": "swing-up from hanging"}[task], fontsize=9, loc="left")
-        axis.tick_params(length=0)
-    axes[-1].set_xticks(range(len(columns)), columns, fontsize=8, rotation=35, ha="right", rotation_mode="anchor")
+    """Draw shares as numbers on colours: a panel a task, a row a contender."""
+    values = {task: {name: line(table, name, task) for name in of} for task in TASKS if (of := _present(table, task))}
+    sizes = [len(of) for of in values.values()]
+    height = 1.3 + 0.24 * sum(sizes) + 0.35 * len(sizes)
+    figure, axes = facets(len(sizes), height=height, width=7.0, sharex=True, height_ratios=sizes)
+    for axis, (task, of) in zip(axes[:, 0], values.items(), strict=True):
+        columns = [column.replace("_", " ") for column in next(iter(of.values()))]
+        heat_map(axis, np.array([list(shares.values()) for shares in of.values()]), list(of), columns)
+        for line_at in lines:
+            axis.axvline(line_at, color="w", lw=3)
+        axis.set_title(_TITLES[task])
     return figure
 
 
-def _plot_overview(rows: list[Row], tasks: list[Task]) -> Figure:
-    """Draw who succeeds on the nominal rig, along each axis, and on plants wrong in everything, %."""
-    names: dict[Task, list[str]] = {task: list(_present(rows, task)) for task in tasks}
-    columns = ["nominal", *GROUPS, "score", "all wrong, mean", "all wrong, worst tenth"]
-    values: dict[Task, Array] = {}
-    for task in tasks:
-        lines = []
-        for name in names[task]:
-            outcomes = outcomes_of(rows, name, task)
-            mean, tail = on_plants(rows, name, task)
-            shares = [of.mean() for of in of_groups(outcomes).values()]
-            lines.append([outcomes[NOMINAL.name].mean(), *shares, np.mean(shares), mean.share, tail.cvar])
-        values[task] = np.array(lines)
-    return _heat_maps(tasks, names, columns, values, (0.5, len(GROUPS) + 0.5, len(GROUPS) + 1.5))
+def _overview(table: Table, name: str, task: TaskName) -> dict[str, float]:
+    """Return success on the nominal rig, along each axis, and on plants wrong in everything."""
+    outcomes = outcomes_of(table, name, task)
+    _, mean, tail = on_plants(table, name, task)
+    shares = {"nominal": outcomes[NOMINAL.name], **of_groups(outcomes)}
+    rest = {"score": _perturbations.score(outcomes), "all wrong, mean": mean, "all wrong, worst tenth": tail}
+    return {group: float(of.mean()) for group, of in shares.items()} | {what: of.value for what, of in rest.items()}
 
 
-def _plot_parameters(rows: list[Row], tasks: list[Task]) -> Figure:
-    """Draw the least success over the errors of each single parameter, %."""
-    names: dict[Task, list[str]] = {task: list(_present(rows, task)) for task in tasks}
-    single = [axis.name for axis in AXES if axis.group == "model"]
-    values: dict[Task, Array] = {}
-    for task in tasks:
-        met = [outcomes_of(rows, name, task) for name in names[task]]
-        values[task] = np.array([[outcomes[name].mean(axis=0).min() for name in single] for outcomes in met])
-    return _heat_maps(tasks, names, [name.replace("_", " ") for name in single], values, ())
+def _least(table: Table, name: str, task: TaskName) -> dict[str, float]:
+    """Return the least success over the errors of each single parameter."""
+    outcomes = outcomes_of(table, name, task)
+    return {axis.name: float(outcomes[axis.name].mean(axis=0).min()) for axis in AXES if axis.group == "model"}
 
 
-def _curves(rows: list[Row], name: str, task: Task, group: str) -> tuple[Array, list[Rate]]:
-    """Return levels and success of a controller along one of the six axes; errors are pooled over parameters."""
-    own = _chosen(rows, controller=name, task=task, part="axes")
-    of = [row for row in own if row.axis in (PARAMETERS if group == "model" else (group,))]
-    at: dict[float, list[Row]] = {0.0: [row for row in own if row.axis == NOMINAL.name]}
-    for row in of:
-        at.setdefault(row.level, []).append(row)
-    levels = sorted(at)
-    return np.array(levels), [rate(at[level]) for level in levels]
+def _shares(table: Table, axes: Sequence[str], **fields: str) -> Curve:
+    """Return success by level, along one axis or along several together."""
+    rows = table.where(**fields).query("axis in @axes")
+    at = {level: where(rows, level=level) for level in sorted(set(rows["level"]))}
+    return {level: share(of["successes"], of["runs"]) for level, of in at.items()}
 
 
-def _draw(axis: Axes, levels: Array, rates: list[Rate], style: Style, label: str) -> None:
-    colour, marker, line = style
-    error = np.array([[of.share - of.low, of.high - of.share] for of in rates]).T
-    _, _, bars = axis.errorbar(
-        levels, [of.share for of in rates], error,
-        color=colour, marker=marker, ls=line, ms=3.5, lw=1.1, elinewidth=0.7, label=label,
-    )  # fmt: skip
-    for bar in bars:
-        bar.set_alpha(0.45)
-
-
-def _shares_up(axis: Axes) -> None:
-    axis.yaxis.set_major_formatter(PercentFormatter(1.0))
-    axis.set(ylim=(-0.04, 1.04), yticks=(0, 0.5, 1))
-    axis.tick_params(labelsize=7)
-    axis.grid(alpha=0.3)
-
-
-def _plot_axes(rows: list[Row], task: Task) -> Figure:
+def _plot_axes(table: Table, task: TaskName) -> Figure:
     """Draw success against level: a row an axis, designed controllers on the left, learned ones on the right."""
-    names = _present(rows, task)
-    sides = [[name for name in names if name not in _LEARNED], [name for name in names if name in _LEARNED]]
+    looks = _present(table, task)
+    sides = [[name for name in looks if (name in _LEARNED) == learned] for learned in (False, True)]
     sides = [side for side in sides if side]
-    figure = Figure(figsize=(7.0, 9.2), layout="constrained")
-    axes = figure.subplots(len(GROUPS), len(sides), sharey=True, sharex="row", squeeze=False)
+    figure, axes = facets(len(GROUPS), len(sides), height=9.2, width=7.0, sharey=True, sharex="row")
     words = {axis.group: axis.words for axis in AXES} | {"model": "error of one parameter, eight pooled"}
-    for group, row_of_axes in zip(GROUPS, axes, strict=True):
-        for side, axis in zip(sides, row_of_axes, strict=True):
-            for name in side:
-                _draw(axis, *_curves(rows, name, task, group), names[name], name)
-            axis.set_xlabel(words[group], fontsize=8)
-            _shares_up(axis)
+    for group, row in zip(GROUPS, axes, strict=True):
+        of_group = (NOMINAL.name, *(PARAMETERS if group == "model" else (group,)))
+        for side, axis in zip(sides, row, strict=True):
+            drawn = {name: _shares(table, of_group, contender=name, task=task, part="axes") for name in side}
+            curves(axis, drawn, looks, aside=0.0)
+            share_axis(axis)
+            axis.set(xlabel=words[group], yticks=(0, 0.5, 1))
         if group == "model":
-            row_of_axes[0].xaxis.set_major_formatter(PercentFormatter(1.0))
+            row[0].xaxis.set_major_formatter(PercentFormatter(1.0))
         if group == "pulses":
-            row_of_axes[0].set_xscale("symlog", linthresh=0.02, linscale=0.4)
-            row_of_axes[0].set_xlim(-0.003, 1.15)
-            row_of_axes[0].set_xticks((0, 0.02, 0.05, 0.1, 0.2, 0.5, 1))
-            row_of_axes[0].xaxis.set_major_formatter(FuncFormatter(lambda level, _: f"{level:g}"))
-            row_of_axes[0].minorticks_off()
+            row[0].set_xscale("symlog", linthresh=0.02, linscale=0.4)
+            row[0].set(xlim=(-0.003, 1.15), xticks=(0, 0.02, 0.05, 0.1, 0.2, 0.5, 1))
+            row[0].xaxis.set_major_formatter(FuncFormatter(lambda level, _: f"{level:g}"))
+            row[0].minorticks_off()
         if group == "delay":
-            row_of_axes[0].set_xticks((0, 1, 2))
+            row[0].set_xticks((0, 1, 2))
     for axis in axes[0]:
-        columns = 2 if len(sides) > 1 else 4
-        axis.legend(fontsize=7, ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.02), frameon=False)
-    figure.supylabel("runs that succeed", fontsize=9)
+        legend_above(axis, 2 if len(sides) > 1 else 4)
+    figure.supylabel("runs that succeed", fontsize=8.5)
     return figure
 
 
-def _plot_plants(rows: list[Row], tasks: list[Task]) -> Figure:
+def _plot_plants(table: Table, tasks: Sequence[TaskName]) -> Figure:
     """Draw plants in the order of success on them; and the mean, the worst tenth and the worst."""
-    heights = [len(_present(rows, task, "plants")) + 3 for task in tasks]
-    figure = Figure(figsize=(7.0, 1.0 + 0.19 * sum(heights)), layout="constrained")
-    axes = figure.subplots(len(tasks), 2, width_ratios=(1.0, 1.0), height_ratios=heights, squeeze=False)
+    looks = {task: _present(table, task, "plants") for task in tasks}
+    heights = [max(len(of), 6) + 3 for of in looks.values()]
+    figure, axes = facets(len(tasks), 2, height=1.0 + 0.19 * sum(heights), width=7.0, height_ratios=heights)
     for (left, right), task in zip(axes, tasks, strict=True):
-        names = _present(rows, task, "plants")
-        for place, name in enumerate(names):
-            colour, marker, line = names[name]
-            own = _chosen(rows, controller=name, task=task, part="plants")
-            shares = np.sort([row.successes / row.runs for row in own])
-            left.plot((np.arange(len(shares)) + 0.5) / len(shares), shares, color=colour, ls=line, lw=1.2, ds="steps")
-            mean, tail = on_plants(rows, name, task)
-            for value, filled in ((mean, True), (Rate(*tail[:3]), False)):
-                right.errorbar(
-                    value.share, place + (0.16 if not filled else -0.16),
-                    xerr=[[value.share - value.low], [value.high - value.share]],
-                    color=colour, marker=marker, ms=5, lw=1, mfc=colour if filled else "w",
-                )  # fmt: skip
-            right.plot(tail.worst, place, "k|", ms=9)
-        left.set_ylabel("starts that succeed", fontsize=8)
-        left.set_title(task, fontsize=9, loc="left")
-        _shares_up(left)
-        left.xaxis.set_major_formatter(PercentFormatter(1.0))
-        right.set_yticks(range(len(names)), names, fontsize=7)
-        right.set(xlim=(-0.04, 1.04), ylim=(len(names) - 0.4, -0.6))
-        right.xaxis.set_major_formatter(PercentFormatter(1.0))
-        right.tick_params(labelsize=7)
-        right.grid(alpha=0.3)
-    axes[-1, 0].set_xlabel("plants, the worst first", fontsize=8)
-    axes[-1, 1].set_xlabel("mean (filled), worst tenth (open), worst (|)", fontsize=8)
+        found = {name: on_plants(table, name, task) for name in looks[task]}
+        for name, (shares, _, _) in found.items():
+            places = (np.arange(len(shares)) + 0.5) / len(shares)
+            left.plot(places, np.sort(shares), color=looks[task][name][0], ls=looks[task][name][2], ds="steps")
+        forest(right, {name: mean for name, (_, mean, _) in found.items()}, looks[task], aside=-0.16)
+        forest(right, {name: tail for name, (_, _, tail) in found.items()}, looks[task], aside=0.16, hollow=True)
+        right.plot([shares.min() for shares, _, _ in found.values()], range(len(found)), "k|", ms=9)
+        left.set_title(_TITLES[task])
+        share_axis(left, "starts that succeed")
+        left.set_yticks((0, 0.5, 1))
+        for axis in (left, right):
+            share_axis(axis, along="x")
+    axes[-1, 0].set_xlabel("plants, the worst first")
+    axes[-1, 1].set_xlabel("mean (filled), worst tenth (open), worst (|)")
     return figure
 
 
-def _plot_sensors(rows: list[Row]) -> Figure:
-    """Draw success against what is wrong with the sensors, for the first controllers of each kind: a column an axis."""
-    shown = []
-    for task in TASKS:
-        names = list(_present(rows, task, "sensors"))
-        kinds = [[name for name in names if (name in _LEARNED) == learned] for learned in (False, True)]
-        shown += [(kind[0], task) for kind in kinds if kind]
-    figure = Figure(figsize=(7.0, 0.9 + 1.45 * len(shown)), layout="constrained")
-    axes = figure.subplots(len(shown), len(SENSORS), sharey=True, sharex="col", squeeze=False)
-    for (name, task), row_of_axes in zip(shown, axes, strict=True):
-        for of, axis in zip(SENSORS, row_of_axes, strict=True):
-            for view in views(of):
-                own = _chosen(rows, controller=name, task=task, part="sensors", axis=of.name, view=view)
-                own.sort(key=lambda row: row.level)
-                aside = 0.05 * (list(VIEWS).index(view) - 2) * (0.2 if of.name == "lag" else 1)
-                places = aside + (
-                    np.arange(len(own), dtype=np.float64)
-                    if of.name in ("noise", "encoders")
-                    else np.array([row.level for row in own])
-                )
-                _draw(axis, places, [rate([row]) for row in own], _VIEW_STYLES[view], view)
-            if of.name in ("noise", "encoders"):
-                said = [f"{level:g}" if of.name == "noise" else f"{1 / level:.0f}" for level in of.levels]
-                axis.set_xticks(range(len(said)), said, rotation=45)
-            _shares_up(axis)
-        row_of_axes[0].set_ylabel(f"{name},\n{task}", fontsize=8)
+def _plot_sensors(table: Table) -> Figure:
+    """Draw success against what is wrong with the sensors, for the first contender of each kind: a column an axis."""
+    first = {(task, name in _LEARNED): name for name, task in reversed([*_each(table, "sensors")])}
+    shown = [(first[kind], kind[0]) for kind in sorted(first)]
+    figure, axes = facets(
+        len(shown), len(SENSORS), height=0.9 + 1.45 * len(shown), width=7.0, sharey=True, sharex="col"
+    )
+    for (name, task), row in zip(shown, axes, strict=True):
+        for of, axis in zip(SENSORS, row, strict=True):
+            kind = {"contender": name, "task": task, "part": "sensors"}
+            _draw_sensor(axis, of, {view: _shares(table, (of.name,), **kind, view=view) for view in views(of)})
+        row[0].set_ylabel(f"{name},\n{task}")
     for of, axis in zip(SENSORS, axes[-1], strict=True):
-        axis.set_xlabel(of.words.replace(" (", "\n("), fontsize=8)
-    delay = axes[0][[of.name for of in SENSORS].index("delay")]
-    figure.legend(*delay.get_legend_handles_labels(), loc="outside upper center", ncols=5, fontsize=8, frameon=False)
+        axis.set_xlabel(of.words.replace(" (", "\n("))
+    legend_above(figure, len(VIEWS))
     return figure
 
 
-# -------------------------------------------------------------------------------------------------------------- tables
+def _draw_sensor(axis: Axes, of: Axis, by_view: Mapping[str, Curve]) -> None:
+    """Draw success by view at the levels of a sensor axis, those of noise and encoders side by side."""
+    named = {"noise": [f"{level:g}" for level in of.levels], "encoders": [f"{1 / level:.0f}" for level in of.levels]}
+    for view, curve in by_view.items():
+        aside = 0.05 * (list(VIEWS).index(view) - 2) * (0.2 if of.name == "lag" else 1)
+        places = np.arange(len(curve)) if of.name in named else np.array(list(curve))
+        intervals(axis, places + aside, curve.values(), _VIEW_STYLES[view], label=view)
+    if of.name in named:
+        axis.set_xticks(range(len(of.levels)), named[of.name], rotation=45)
+    share_axis(axis)
+    axis.set_yticks((0, 0.5, 1))
 
 
-class Sheet(NamedTuple):
-    """One table."""
-
-    title: str
-    columns: list[Column]
-    lines: list[list[Cell]]
-
-
-def summary(rows: list[Row], traces: Traces) -> RenderableType:
-    """Condense the table: scores, break points, plants, sensors."""
-    return Group(*(terminal(*sheet) for sheet in sheets(rows)))
-
-
-def pages(rows: list[Row], traces: Traces) -> dict[str, str]:
-    """Write the tables as Markdown."""
-    tables = [f"## {title}\n\n{markdown(columns, lines)}\n" for title, columns, lines in sheets(rows)]
-    return {"tables.md": "\n".join(["# Robustness: all tables\n", *tables])}
+def _scores(table: Table) -> Sheet:
+    lines: list[dict[str, Value]] = []
+    for name, task in _each(table):
+        outcomes = outcomes_of(table, name, task)
+        line: dict[str, Value] = {"controller": name, "task": task, "runs": sum(of.size for of in outcomes.values())}
+        shares = {"nominal": outcomes[NOMINAL.name], **of_groups(outcomes)}
+        line |= {group: float(of.mean()) for group, of in shares.items()}
+        line |= {"score": _perturbations.score(outcomes), "RealAIGym's way": cell(realaigym(outcomes), ".3f")}
+        lines.append(line)
+    title = "(a) Success, %, on each of the six axes, nominal left out; score: their mean"
+    return sheet(title, lines, ".1%", brief=("controller", "task", "nominal", "score", "RealAIGym's way"))
 
 
-def sheets(rows: list[Row]) -> list[Sheet]:
-    """Return the tables that have something in them."""
-    return [sheet for sheet in (_scores(rows), _breaks(rows), _plants(rows), _sensors(rows)) if sheet.lines]
+def _level(found: Estimate, form: str, most: float, before: str = "") -> Cell:
+    """Return where success halves: beyond the greatest level where it never does; a dash where it is below already."""
+    if found.value == -math.inf:
+        return Cell()
+    within = cell(Estimate(*np.maximum(found, 0.0).tolist()), form, tried=(0.0, float(f"{most:.2g}")))
+    return Cell(within.text if math.isinf(found.value) else before + within.text, within.under, within.key)
 
 
-def _columns(words: Sequence[str], numbers: Sequence[str]) -> list[Column]:
-    return [Column("", heading, "", words=True) for heading in words] + [Column("", heading, "") for heading in numbers]
+def _breaks(table: Table) -> Sheet:
+    lines: list[dict[str, Value]] = []
+    for name, task in _each(table):
+        outcomes = outcomes_of(table, name, task)
+        parameter, sign, least = weakest(outcomes)
+        before = f"{parameter.replace('_', ' ')} {'−' if sign < 0 else '+'}"
+        line: dict[str, Value] = {"controller": name, "task": task}
+        line["one parameter, % wrong"] = _level(least, ".0%", 0.25, before)
+        others = [axis for axis in AXES if axis.group != "model"]
+        lines.append(line | {axis.name: _level(breaking(outcomes, axis), ".2g", axis.levels[-1]) for axis in others})
+    return sheet("(a) Level at which success falls to 50 %; a dash where it is below that already", lines)
 
 
-def _percent(of: Rate | Tail) -> Cell:
-    share, low, high = (100 * value for value in of[:3])
-    return Cell(f"{share:.1f}", f"[{low:.1f}, {high:.1f}]")
-
-
-def _scores(rows: list[Row]) -> Sheet:
+def _plants(table: Table) -> Sheet:
     lines = []
-    for task in TASKS:
-        for name in _present(rows, task):
-            outcomes = outcomes_of(rows, name, task)
-            runs = sum(of.size for of in outcomes.values())
-            shares = [outcomes[NOMINAL.name], *of_groups(outcomes).values()]
-            cells = [Cell(name), Cell(task), Cell(str(runs)), *(Cell(f"{100 * of.mean():.1f}") for of in shares)]
-            lines.append([*cells, _percent(score_of(outcomes)), Cell(f"{realaigym(outcomes):.3f}")])
-    return Sheet(
-        "(a) Success, %, on each of the six axes, nominal left out; score: their mean",
-        _columns(("controller", "task"), ("runs", "nominal", *GROUPS, "score", "RealAIGym's way")),
-        lines,
-    )
+    for name, task in _each(table, "plants"):
+        shares, mean, tail = on_plants(table, name, task)
+        own: dict[str, Value] = {"mean": mean, "worst tenth (CVaR)": tail, "worst plant": float(shares.min())}
+        lines.append({"controller": name, "task": task, "plants": len(shares)} | own)
+    return sheet("(b) Success, %, on plants wrong in everything at once", lines, ".1%")
 
 
-def _level(found: Crossing, most: float, form: str, before: str = "") -> Cell:
-    """Say where success halves: beyond the greatest level where it never does."""
-
-    def bound(value: float) -> str:
-        return f"above {most:{form}}" if value == np.inf else "0" if value == -np.inf else f"{value:{form}}"
-
-    if not np.isfinite(found.level):
-        return Cell(bound(found.level)) if found.level > 0 else Cell()
-    return Cell(f"{before}{bound(found.level)}", f"[{bound(found.low)}, {bound(found.high)}]")
-
-
-def _breaks(rows: list[Row]) -> Sheet:
-    single = [axis for axis in AXES if axis.group != "model"]
+def _sensors(table: Table) -> Sheet:
     lines = []
-    for task in TASKS:
-        for name in _present(rows, task):
-            outcomes = outcomes_of(rows, name, task)
-            parameter, sign, least = weakest(outcomes)
-            before = f"{parameter.replace('_', ' ')} {'−' if sign < 0 else '+'}"
-            percent = _level(Crossing(*(100 * value for value in least)), 25, ".0f", before)
-            others = [_level(breaking(outcomes, axis), axis.levels[-1], ".2g") for axis in single]
-            lines.append([Cell(name), Cell(task), percent, *others])
-    return Sheet(
-        "(a) Level at which success falls to 50 %; a dash where it is below that already",
-        _columns(("controller", "task"), ("one parameter, % wrong", *(axis.name for axis in single))),
-        lines,
-    )
-
-
-def _plants(rows: list[Row]) -> Sheet:
-    lines = []
-    for task in TASKS:
-        for name in _present(rows, task, "plants"):
-            mean, tail = on_plants(rows, name, task)
-            count = len(_chosen(rows, controller=name, task=task, part="plants"))
-            cells = [Cell(name), Cell(task), Cell(str(count)), _percent(mean), _percent(tail)]
-            lines.append([*cells, Cell(f"{100 * tail.worst:.0f}")])
-    return Sheet(
-        "(b) Success, %, on plants wrong in everything at once",
-        _columns(("controller", "task"), ("plants", "mean", "worst tenth (CVaR)", "worst plant")),
-        lines,
-    )
-
-
-def _sensors(rows: list[Row]) -> Sheet:
-    lines = []
-    for task in TASKS:
-        for name in _present(rows, task, "sensors"):
-            for of in SENSORS:
-                cells = [Cell(name), Cell(task), Cell(of.name)]
-                for view in VIEWS:
-                    own = _chosen(rows, controller=name, task=task, part="sensors", axis=of.name, view=view)
-                    met = np.stack([_unpacked(row) for row in own], axis=1) if own else None
-                    cells.append(Cell() if met is None else _percent(mean_share(met.mean(axis=1), met.size)))
-                lines.append(cells)
-    return Sheet(
-        "(c) Success, %, the mean over the levels of an axis, by what stands between sensors and controller",
-        _columns(("controller", "task", "axis"), tuple(VIEWS)),
-        lines,
-    )
+    for name, task in _each(table, "sensors"):
+        for axis in SENSORS:
+            own = {"contender": name, "task": task, "part": "sensors", "axis": axis.name}
+            found = {view: table.array("outcomes", **own, view=view) for view in views(axis)}
+            shares = {view: mean_share(of.mean(axis=1), of.size) for view, of in found.items()}
+            lines.append(
+                {"controller": name, "task": task, "axis": axis.name} | {each: shares.get(each) for each in VIEWS}
+            )
+    title = "(c) Success, %, the mean over the levels of an axis, by what stands between sensors and controller"
+    return sheet(title, lines, ".1%", brief=("controller", "task", "axis", "rates measured", "differences", "EKF"))
 
 
 if __name__ == "__main__":
-    _study.main("studies.robustness")
+    _runner.main("studies.robustness")

@@ -13,16 +13,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import PercentFormatter
-from rich.table import Table
 
 import dpend
 from controllers import LQR, SDRE
 
-from . import _study
-from ._intervals import wilson
-from ._study import Job, Result, Traces
+from . import _runner
+from ._estimates import share
+from ._figures import curves, facets, palette, share_axis
+from ._runner import Report, Result, Table
+from ._tables import sheet
+
+MINUTES = 5
 
 PLANTS = {
     "gustafsson2016, Q = I": ("gustafsson2016", (1.0, 1.0, 1.0, 1.0, 1.0, 1.0), 1.0),
@@ -34,13 +35,13 @@ LAWS = {"LQR": LQR, "SDRE": SDRE}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_study.Options):
-    """What can be told on the command line."""
+class Options(_runner.Options):
+    """Options of the command line."""
 
     lam: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)
-    """Spreads of the starting angles, rad."""
+    """Greatest starting angles, rad."""
     episodes: int = 500
-    """Starts at each spread."""
+    """Starts at each of them."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -49,85 +50,54 @@ class Options(_study.Options):
         self.check_least(1, "episodes")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """One law at one spread."""
+@dataclass(frozen=True)
+class Job:
+    """Both laws on one plant from the same starts."""
 
     plant: str
-    law: str
     lam: float
     episodes: int
-    successes: int
-    kept: float
-    """Share of the samples in which no gain was found and the last kept."""
+    seed: int
 
 
 def jobs(options: Options) -> list[Job]:
-    """List the work: one job for each plant and spread."""
-    lams = options.lam[:1] if options.quick else options.lam
-    return [Job(plant, k) for plant in PLANTS for k in range(len(lams))]
+    """List the work: one job for each plant and λ."""
+    lams, episodes = (options.lam[len(options.lam) // 2 :][:2], 5) if options.quick else (options.lam, options.episodes)
+    return [Job(plant, lam, min(options.episodes, episodes), options.seed) for plant in PLANTS for lam in lams]
 
 
-def run(job: Job, options: Options) -> Result:
+def run(job: Job) -> Result:
     """Let both laws balance the same starts."""
-    name, Q, R = PLANTS[job.setting]
+    name, Q, R = PLANTS[job.plant]
     rig = dpend.rig(name)
-    episodes = min(options.episodes, 5) if options.quick else options.episodes
-    task = dpend.Balance(lam=options.lam[job.repetition], steps=30 if options.quick else 300)
-    starts = task.starts(np.random.default_rng([options.seed, 7]), episodes, rig)
+    task = dpend.Balance(lam=job.lam)
+    starts = task.starts(np.random.default_rng([job.seed, 7]), job.episodes, rig)
     rows = []
     for law, build in LAWS.items():
         runs = dpend.simulate_many(rig, build(rig, Q, R), starts, task=task)
-        rows.append(
-            Row(
-                plant=job.setting,
-                law=law,
-                lam=task.lam,
-                episodes=episodes,
-                successes=int(runs.success.sum()),
-                kept=float(np.nanmean(runs.log["kept"])) if "kept" in runs.log else 0.0,
-            )
-        )
+        kept = float(np.nanmean(runs.log["kept"])) if "kept" in runs.log else 0.0  # samples without a gain of their own
+        rows.append({"law": law, "successes": int(runs.success.sum()), "kept": kept})
     return Result(rows)
 
 
-def plot(rows: list[Row], traces: Traces) -> Figure:
-    """Draw the share saved against the spread, with 95 % intervals."""
-    figure = Figure(figsize=(9.0, 2.8), layout="constrained")
-    axes = figure.subplots(1, len(PLANTS), sharey=True)
-    for axis, plant in zip(axes, PLANTS, strict=True):
-        for law, colour, marker in zip(LAWS, ("#0072B2", "#D55E00"), ("o", "s"), strict=True):
-            own = [row for row in rows if (row.plant, row.law) == (plant, law)]
-            rates = [wilson(row.successes, row.episodes) for row in own]
-            errors = [[rate.share - rate.low for rate in rates], [rate.high - rate.share for rate in rates]]
-            shares = [rate.share for rate in rates]
-            axis.errorbar([row.lam for row in own], shares, errors, color=colour, marker=marker, ms=4, lw=1, label=law)
-        axis.set_title(plant, fontsize=8)
+def report(table: Table) -> Report:
+    """Draw the share saved against λ, with 95 % intervals."""
+    saved = {(row.plant, row.law, row.lam): share(row.successes, row.episodes) for row in table.lines()}
+    lams = sorted(set(table.rows["lam"]))
+    figure, axes = facets(1, len(PLANTS), height=2.8, width=9.0, sharey=True)
+    for axis, plant in zip(axes[0], PLANTS, strict=True):
+        curves(axis, {law: {lam: saved[plant, law, lam] for lam in lams} for law in LAWS}, palette(LAWS))
+        axis.set_title(plant)
         axis.set_xlabel("λ, rad")
-        axis.grid(alpha=0.3)
-    axes[0].yaxis.set_major_formatter(PercentFormatter(1.0))
-    axes[0].set(ylim=(-0.02, 1.02), ylabel="starts saved")
-    axes[0].legend(fontsize=8)
-    return figure
-
-
-def summary(rows: list[Row], traces: Traces) -> Table:
-    """Condense the table."""
-    table = Table(title="Starts saved, with 95 % intervals")
-    lams = sorted({row.lam for row in rows})
-    for heading in ("plant", "law", *(f"λ = {lam:g}" for lam in lams)):
-        table.add_column(heading)
-    for plant in PLANTS:
-        for law in LAWS:
-            rates = {
-                row.lam: wilson(row.successes, row.episodes) for row in rows if (row.plant, row.law) == (plant, law)
-            }
-            shown = (
-                f"{100 * r.share:.1f} [{100 * r.low:.1f}, {100 * r.high:.1f}]" for r in (rates[lam] for lam in lams)
-            )
-            table.add_row(plant, law, *shown)
-    return table
+    share_axis(axes[0, 0], "starts saved")
+    axes[0, 0].legend()
+    lines = [
+        {"plant": plant, "law": law} | {f"λ = {lam:g}, %": saved[plant, law, lam] for lam in lams}
+        for plant in PLANTS
+        for law in LAWS
+    ]
+    return Report(figures=figure, tables=[sheet("Starts saved, with 95 % intervals", lines)])
 
 
 if __name__ == "__main__":
-    _study.main("studies.sdre")
+    _runner.main("studies.sdre")

@@ -5,47 +5,44 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.table import Table
 
-from studies import _study
-from studies._study import Job, Result
+from studies import _runner
+from studies._runner import Report, Result, Table
+from studies._tables import sheet
+
+MINUTES = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_study.Options):
+class Options(_runner.Options):
     jobs: int = 12
     nap: float = 0.0
     """Seconds that a job takes."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    name: str
+@dataclass(frozen=True)
+class Job:
+    seed: int
     repetition: int
-    value: float
-    even: bool
+    nap: float
 
 
-def jobs(options):
-    return [Job("nap", k) for k in range(options.jobs)]
+def jobs(options: Options) -> list[Job]:
+    return [Job(options.seed, k, options.nap) for k in range(options.jobs)]
 
 
-def run(job, options):
-    time.sleep(options.nap)
-    value = float(np.random.default_rng([options.seed, job.repetition]).normal())
-    rows = [Row(name=name, repetition=job.repetition, value=value, even=job.repetition % 2 == 0) for name in "ab"]
+def run(job: Job) -> Result:
+    time.sleep(job.nap)
+    value = float(np.random.default_rng([job.seed, job.repetition]).normal())
+    rows = [{"name": name, "value": value, "even": job.repetition % 2 == 0} for name in "ab"]
     return Result(rows, {"value": np.array([value])})
 
 
-def plot(rows, traces):
+def report(table: Table) -> Report:
     figure = Figure()
-    figure.subplots().plot([traces[f"nap-{row.repetition}"]["value"][0] for row in rows])
-    return figure
-
-
-def summary(rows, traces):
-    return Table(str(len(rows)))
+    figure.subplots().plot([value[0] for value in table.arrays("value")])
+    return Report(figures=figure, tables=[sheet("Rows", table.rows)])
 
 
 if __name__ == "__main__":
-    _study.main("tests.study_example")
+    _runner.main("tests.study_example")

@@ -206,10 +206,10 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "sbx": ("rl/sb3_jax.py",),
     "numba": ("dpend/kernels.py", "controllers/ilqr_kernels.py", "rl/*"),
     "control": ("controllers/*",),
-    "dask": ("studies/_study.py",),
-    "distributed": ("studies/_study.py",),
+    "dask": ("studies/_runner.py",),
+    "distributed": ("studies/_runner.py",),
     "gymnasium": ("dpend/__init__.py", "dpend/env.py", "dpend/vector_env.py", "rl/*", "studies/*"),
-    "pandas": (),
+    "pandas": ("studies/*",),
 }
 
 

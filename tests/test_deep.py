@@ -13,9 +13,22 @@ import numpy as np
 import pytest
 
 import dpend
+from dpend import archive
 from dpend.vector_env import CartDoublePendulumVectorEnv
 from rl import DeepLearner, DeepRecipe, MLPPolicy, Network, Outcome, load_policy, train_deep
-from rl.deep import Evaluation, evaluate, learner_class, read_curve, read_recipe, read_training, swing_up_starts
+from rl.deep import (
+    Evaluation,
+    evaluate,
+    kept_trainings,
+    learner_class,
+    pack,
+    read_curve,
+    read_recipe,
+    read_training,
+    read_trainings,
+    swing_up_starts,
+)
+from rl.deep import _write_curve as write_curve
 from rl.recipes import DEFAULTS, INSTALL, NEEDED, OffPolicySettings, PPOSettings, training_envs
 from rl.shaping import observation_scales, observe
 from tests.rigs import whole
@@ -186,22 +199,84 @@ def test_a_recipe_comes_back_from_its_record(recipe):
     assert ("caps" in record) == (recipe.algo == "ppo") != ("mirror" in record)
 
 
-RUNS = sorted((ROOT / "docs/results/deep").glob("*/seed-*"))
+KEPT = ROOT / "docs/results/deep"
+
+
+def unpack(name, folder):
+    """Write the kept trainings of a recipe as folders, as they were before they were packed."""
+    header, _ = archive.read(KEPT / f"{name}.npz", "dpend deep trainings 1")
+    for seed, training in read_trainings(KEPT / f"{name}.npz").items():
+        own = folder / name / f"seed-{seed}"
+        own.mkdir(parents=True)
+        (own / "recipe.json").write_text(json.dumps({"seed": seed, "recipe": header["recipe"]}))
+        columns = [training.curve[field].tolist() for field in Evaluation._fields]
+        write_curve(own / "curve.csv", [Evaluation(*line) for line in zip(*columns, strict=True)])
+        training.policy.save(own / "policy.npz")
+    return folder / name
 
 
 def test_a_record_from_before_none_meant_default_says_zero_where_it_means_none():
     ages = set()
-    for folder in RUNS:
-        old, new = json.loads((folder / "recipe.json").read_text())["recipe"], read_recipe(folder).to_dict()
+    for file in kept_trainings(KEPT).values():
+        old, new = archive.read(file, "dpend deep trainings 1")[0]["recipe"], read_recipe(file).to_dict()
         ages.add(len(old))
         for name in new.keys() & old.keys():
-            told = json.loads(json.dumps(new[name]))
-            assert told == old[name] or (told is None and not np.any(old[name] or 0)), name
+            value = json.loads(json.dumps(new[name]))
+            assert value == old[name] or (value is None and not np.any(old[name] or 0)), name
     assert len(ages) >= 4
 
 
-def test_a_training_that_is_kept_reads_like_one_that_has_just_ended():
-    folder = next(folder for folder in RUNS if (folder / "policy.npz").exists())
+@pytest.mark.parametrize("name", ["ppo-swing-up-near", "td3-inverteddoublependulum-v5"])
+def test_packed_trainings_are_to_the_bit_those_of_the_folders_that_were_packed(name, tmp_path):
+    folder = unpack(name, tmp_path)
+    file = pack(folder, tmp_path / "packed.npz")
+    folders, packed = read_trainings(folder), read_trainings(file)
+    assert read_recipe(file).to_dict() == read_recipe(folder).to_dict()
+    assert list(packed) == list(folders)
+    for seed, training in folders.items():
+        again = packed[seed]
+        assert (again.outcome, repr(again.cost)) == (training.outcome, repr(training.cost))
+        assert again.policy.about == training.policy.about
+        for new, old in ((again.curve, training.curve), (again.policy.arrays(), training.policy.arrays())):
+            assert {key: (each.dtype, each.tobytes()) for key, each in new.items()} == {
+                key: (each.dtype, each.tobytes()) for key, each in old.items()
+            }
+
+
+def test_trainings_are_found_packed_and_in_folders_of_which_a_policy_is_there(tmp_path):
+    folder = unpack("ppo-swing-up-near", tmp_path)
+    (tmp_path / "begun" / "seed-0").mkdir(parents=True)
+    pack(folder, tmp_path / "elsewhere.npz")
+    pack(folder, tmp_path / "ppo-swing-up-near.npz")
+    assert kept_trainings(tmp_path) == {
+        "elsewhere": tmp_path / "elsewhere.npz",
+        "ppo-swing-up-near": folder,
+    }
+
+
+def test_trainings_of_two_recipes_or_none_are_not_packed(tmp_path):
+    folder = unpack("ppo-swing-up-near", tmp_path)
+    message = f"{folder} must hold trainings of one recipe, in folders such as seed-10."
+    record = json.loads((folder / "seed-31" / "recipe.json").read_text())
+    record["recipe"]["steps"] += 1
+    (folder / "seed-31" / "recipe.json").write_text(json.dumps(record))
+    with pytest.raises(ValueError, match=whole(message)):
+        pack(folder, tmp_path / "packed.npz")
+    with pytest.raises(ValueError, match=whole(message.replace(str(folder), str(tmp_path / "none")))):
+        pack(tmp_path / "none", tmp_path / "packed.npz")
+
+
+def test_a_file_of_something_else_is_no_file_of_trainings():
+    file = ROOT / "rl/trained/lspi.npz"
+    message = (
+        f"{file} cannot be read as 'dpend deep trainings 1': it is 'dpend policy 2'. Save it anew, or copy it again."
+    )
+    with pytest.raises(ValueError, match=whole(message)):
+        read_trainings(file)
+
+
+def test_a_training_that_is_kept_reads_like_one_that_has_just_ended(tmp_path):
+    folder = unpack("ppo-swing-up", tmp_path) / "seed-10"
     training, curve = read_training(folder), read_curve(folder / "curve.csv")
     np.testing.assert_array_equal(training.curve["success"], [seen.success for seen in curve])
     assert training.curve["score"][training.details["best"]] == max(seen.score for seen in curve)
@@ -769,10 +844,13 @@ def test_several_seeds_are_trained_side_by_side(tmp_path, capsys):
         "--evaluation-starts",
         "4",
     ]
-    policies = train.main([*small_ones, "--seeds", "2", "--workers", "2", "--out", str(tmp_path)])
+    policies = train.main(
+        [*small_ones, "--seeds", "2", "--workers", "2", "--out", str(tmp_path), "--pack", str(tmp_path / "all.npz")]
+    )
     assert [policy.about["seed"] for policy in policies] == [0, 1]
     assert policies[0].about["command"].startswith("python -m rl.train --steps 1024")
     assert (tmp_path / "seed-1" / "policy.npz").exists()
+    assert list(read_trainings(tmp_path / "all.npz")) == [0, 1]
     assert "environment steps" in capsys.readouterr().out
 
 

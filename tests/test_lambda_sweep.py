@@ -1,22 +1,19 @@
-"""The sweep over λ: who takes part, which starts they meet, what the table says; and the basins."""
+"""The sweep over λ: who takes part, on which starts they are evaluated, what the table says; and the basins."""
 
-import io
 import math
-import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
-from matplotlib.figure import Figure
-from rich.console import Console
 
 import dpend
 from controllers import LQR
 from rl import LinearQLearning
-from studies import _basins, _study, lambda_sweep, recoverable
-from studies._curves import percent, plot_falls, spread
-from studies._entrants import RIG
-from studies._intervals import Crossing, Rate, crossing, wilson
+from studies import _basins, _figures, lambda_sweep, recoverable
+from studies._estimates import crossing, share
+from studies._field import RIG, find
+from studies._runner import Table, plain_fields, read_rows
 
 BY_HAND = """
 class ByHand:
@@ -26,164 +23,193 @@ class ByHand:
 
 
 def names(**options):
-    return [job.setting for job in lambda_sweep.jobs(lambda_sweep.Options(trainings=1, **options))]
+    return [job.contender for job in lambda_sweep.jobs(lambda_sweep.Options(trainings=1, **options))]
 
 
 def row(**changes):
-    made = {
-        "controller": "Q tuned", "training": 0, "lam": 0.1, "episodes": 100, "successes": 90, "successes_report": 95,
-        "outcome": "converged", "training_episodes": 1, "training_steps": 2, "test_steps": 3,
-    }  # fmt: skip
-    return lambda_sweep.Row(**(made | changes))
+    return {
+        "contender": "Q tuned", "training": 0, "lam": 0.1, "episodes": 100, "successes": 90, "successes_report": 95,
+        "outcome": "converged", "plant": "gustafsson2016", "sample_time": 0.02,
+        "training_episodes": 1, "training_steps": 2, "test_steps": 3,
+    } | changes  # fmt: skip
 
 
-def said(rows, traces):
-    console = Console(width=200, record=True, file=io.StringIO())
-    console.print(lambda_sweep.summary(rows, traces))
-    return console.export_text()
+def table(*rows, arrays=None):
+    frame = pd.DataFrame(rows)
+    frame["job"] = frame.groupby(["contender", "training"], sort=False).ngroup()
+    return Table(frame, by_job=arrays or {})
 
 
-# ------------------------------------------------------------------------------------------------------- who meets what
+def ran(*jobs):
+    """Return the table of jobs, as the runner does."""
+    results = [lambda_sweep.run(job) for job in jobs]
+    rows = [{**plain_fields(job), **row} for job, result in zip(jobs, results, strict=True) for row in result.rows]
+    return table(*rows, arrays={k: dict(result.arrays) for k, result in enumerate(results)})
+
+
+PLANT = lambda_sweep.Options().plant
+
+
+def job(contender, **changes):
+    made = {"plant": PLANT, "training": 0, "lams": (0.3,), "first": 0, "starts": 60, "side": 0, "seed": 0, "own": None}
+    return lambda_sweep.Job(contender=contender, **(made | changes))
+
+
+def cells(reported):
+    """Return what stands in the tables of a report: a list of words by title and contender."""
+    return {sheet.title: {line[0].text: [each.text for each in line[1:]] for line in sheet.lines}
+            for sheet in reported.tables}  # fmt: skip
+
+
+# -------------------------------------------------------------------------------------- who takes part, on which starts
 
 
 def test_all_that_balance_take_part_but_what_takes_minutes_and_the_plain_rule_only_if_asked():
-    every = {entrant.name for entrant in lambda_sweep.KNOWN if "balance" in entrant.tasks}
+    every = {contender.name for contender in lambda_sweep.KNOWN if "balance" in contender.tasks}
     assert set(names()) == every - {"NMPC", "Q tuned, plain rule"}
     assert set(names(plain=True)) == every - {"NMPC"}
     assert set(names(all=True)) == every
     assert names(only=("LQR", "NMPC")) == ["NMPC", "LQR"]
 
 
-def test_learners_train_several_times_and_all_others_take_part_once():
-    jobs = lambda_sweep.jobs(lambda_sweep.Options(trainings=3))
-    assert {job.setting for job in jobs if job.repetition == 2} == {"Q published", "Q tuned", "QAC tuned", "LSPI"}
+def test_learners_train_several_times_each_with_starts_of_its_own_and_all_others_take_part_once():
+    jobs = lambda_sweep.jobs(lambda_sweep.Options(trainings=3, episodes=7))
+    assert {job.contender for job in jobs if job.training == 2} == {"Q published", "Q tuned", "QAC tuned", "LSPI"}
+    assert [(job.first, job.starts) for job in jobs if job.contender == "LSPI"] == [(0, 7), (7, 7), (14, 7)]
+    assert [(job.first, job.starts) for job in jobs if job.contender == "LQR"] == [(0, 21)]
     assert len(set(jobs)) == len(jobs)
 
 
-def test_those_that_take_long_meet_their_part_and_all_others_every_start():
+def test_those_that_take_long_are_evaluated_on_their_part_and_all_others_on_every_start():
     options = lambda_sweep.Options(trainings=100, episodes=1000)
-    assert options.starts(options.entrant("LQR")) == 100_000
-    assert options.starts(options.entrant("PPO balance")) == 10_000
-    assert options.starts(options.entrant("iLQR MPC")) == 50
+    assert options.starts(find("LQR")) == 100_000
+    assert options.starts(find("PPO balance")) == 10_000
+    assert options.starts(find("iLQR MPC")) == 50
     few = lambda_sweep.Options(trainings=2, episodes=5, part_of=1000)
-    assert few.starts(few.entrant("iLQR MPC")) == 10
-    assert options.side(options.entrant("iLQR MPC")) == 0
+    assert few.starts(find("iLQR MPC")) == 10
+    assert options.side(find("iLQR MPC")) == 0
     every = lambda_sweep.Options(all=True, basins=41)
-    assert (every.side(every.entrant("iLQR MPC")), every.side(every.entrant("LQR"))) == (18, 41)
+    assert (every.side(find("iLQR MPC")), every.side(find("LQR"))) == (18, 41)
 
 
 @pytest.mark.slow
-def test_trained_controllers_meet_their_part_of_the_starts_that_lqr_meets_whole():
-    options = lambda_sweep.Options(trainings=2, episodes=30, lam=(0.3,), basins=0)
+def test_trained_controllers_are_evaluated_on_their_part_of_the_starts_of_lqr():
     task = dpend.Balance(lam=0.3)
     starts = task.starts(np.random.default_rng([0, 1]), 60, RIG)
-    (lqr,) = lambda_sweep.run(_study.Job("LQR"), options).rows
-    assert lqr.successes == dpend.simulate_many(RIG, LQR(RIG), starts, task=task).success.sum()
-    (second,) = lambda_sweep.run(_study.Job("Q published", 1), options).rows
+    (lqr,) = lambda_sweep.run(job("LQR")).rows
+    assert lqr["successes"] == dpend.simulate_many(RIG, LQR(RIG), starts, task=task).success.sum()
+    (second,) = lambda_sweep.run(job("Q published", training=1, first=30, starts=30)).rows
     policy = LinearQLearning.published(RIG).train([0, 2, 1]).policy
-    assert second.successes == dpend.simulate_many(RIG, policy, starts[30:], task=task).success.sum()
-    assert second.episodes == 30
+    assert second["successes"] == dpend.simulate_many(RIG, policy, starts[30:], task=task).success.sum()
+    assert second["episodes"] == 30
 
 
-def test_a_controller_of_ones_own_stands_in_the_table_with_its_force_and_its_basin(tmp_path):
+def test_a_controller_of_ones_own_stands_in_the_tables_with_its_force_and_its_basin(tmp_path):
     (tmp_path / "mine.py").write_text(BY_HAND)
     options = lambda_sweep.Options(controller=(f"{tmp_path / 'mine.py'}:ByHand",), only=("LQR",), quick=True)
-    results = [lambda_sweep.run(job, options) for job in lambda_sweep.jobs(options)]
-    rows = [row for result in results for row in result.rows]
-    assert [row.controller for row in rows] == 2 * ["LQR"] + 2 * ["ByHand"]
-    assert rows[2].successes == rows[2].episodes == 40  # at λ = 0.05
-    traces = {f"{name}-0": dict(result.traces) for name, result in zip(("LQR", "ByHand"), results, strict=True)}
-    assert [set(kept) for kept in traces.values()] == 2 * [{"saved", "force", "basin"}]
-    assert traces["ByHand-0"]["saved"].sum(axis=0).tolist() == [row.successes for row in rows[2:]]
-    assert "ByHand" in said(rows, traces)
-    figures = lambda_sweep.plot(rows, traces)
+    made = ran(*lambda_sweep.jobs(options))
+    assert made.rows["contender"].tolist() == 2 * ["LQR"] + 2 * ["ByHand"]
+    first = made.where(contender="ByHand", lam=0.05)
+    assert first["successes"].tolist() == first["episodes"].tolist() == [40]
+    assert [set(kept) for kept in made.by_job.values()] == 2 * [{"saved", "force", "basin"}]
+    assert made.array("saved", contender="ByHand").sum(axis=0).tolist() == (
+        made.where(contender="ByHand")["successes"].tolist()
+    )
+    with _figures.look():
+        reported = lambda_sweep.report(made)
+    assert all("ByHand" in lines for lines in cells(reported).values())
+    figures = reported.figures
+    assert isinstance(figures, dict)
     assert [axis.get_title().partition(":")[0] for axis in figures["_basins"].axes] == ["LQR", "ByHand", "", ""]
 
 
 # ---------------------------------------------------------------------------------------------- what the table comes to
 
 
-def test_a_rate_is_of_one_controller_one_spread_and_one_criterion():
-    rows = [
+def test_a_share_is_of_one_contender_one_spread_and_one_criterion():
+    made = table(
         row(), row(training=1, successes=50), row(lam=0.2, successes=0),
-        row(controller="LQR", successes=7, outcome="-"), row(controller="LSPI", outcome="shipped"),
-    ]  # fmt: skip
-    assert lambda_sweep.rate(rows, "Q tuned", 0.1).share == pytest.approx(0.7)
-    assert lambda_sweep.rate(rows, "Q tuned", 0.1, report=True).share == pytest.approx(0.95)
-    assert lambda_sweep.rate(rows, "LQR", 0.1) == wilson(7, 100)
-    assert lambda_sweep.rate(rows, "LSPI", 0.1) == wilson(90, 100)
-    low, high = lambda_sweep.rate(rows, "Q tuned", 0.1)[1:]
-    assert high - low > 0.5  # two trainings that differ so tell little
+        row(contender="LQR", successes=7, outcome="-"), row(contender="LSPI", outcome="shipped"),
+    )  # fmt: skip
+    assert lambda_sweep.saved(made, "Q tuned", 0.1).value == pytest.approx(0.7)
+    assert lambda_sweep.saved(made, "Q tuned", 0.1, "successes_report").value == pytest.approx(0.95)
+    assert lambda_sweep.saved(made, "LQR", 0.1) == share(7, 100)
+    assert lambda_sweep.saved(made, "LSPI", 0.1) == share(90, 100)
+    _, low, high = lambda_sweep.saved(made, "Q tuned", 0.1)
+    assert high - low > 0.5  # two trainings that differ so say little
 
 
 def test_one_controller_falls_where_its_starts_say_and_several_trainings_where_their_shares_do():
-    options = lambda_sweep.Options(trainings=1, episodes=200, lam=(0.5, 0.2, 0.35), basins=0)
-    result = lambda_sweep.run(_study.Job("LQR"), options)
-    traces = {"LQR-0": dict(result.traces)}
-    half, most = lambda_sweep.falls_to(list(result.rows), traces, "LQR")
-    assert half == crossing([0.2, 0.35, 0.5], traces["LQR-0"]["saved"], 0.5)
-    saves = {row.lam: row.successes / row.episodes for row in result.rows}
+    made = ran(job("LQR", starts=200, lams=(0.2, 0.35, 0.5)))
+    half, most = lambda_sweep.falls_to(made, "LQR")
+    assert half == crossing([0.2, 0.35, 0.5], made.array("saved"), 0.5)
+    saves = dict(zip(made.rows["lam"], made.rows["successes"] / made.rows["episodes"], strict=True))
     assert saves[0.2] > 0.9 > saves[0.35] > 0.5 > saves[0.5]
-    assert 0.2 < most.low < most.level < most.high < 0.35 < half.low < half.level < 0.5
+    assert 0.2 < most.low < most.value < most.high < 0.35 < half.low < half.value < 0.5
     shares = [[0.9, 0.6, 0.1], [0.8, 0.5, 0.3]]
-    trained = [
-        row(training=k, lam=lam, successes=round(100 * share))
+    trained = table(*(
+        row(training=k, lam=lam, successes=round(100 * value))
         for k, curve in enumerate(shares)
-        for lam, share in zip((0.2, 0.35, 0.5), curve, strict=True)
-    ]
-    assert lambda_sweep.falls_to(trained, {}, "Q tuned")[0] == crossing([0.2, 0.35, 0.5], shares, 0.5)
+        for lam, value in zip((0.2, 0.35, 0.5), curve, strict=True)
+    ))  # fmt: skip
+    assert lambda_sweep.falls_to(trained, "Q tuned")[0] == crossing([0.2, 0.35, 0.5], shares, 0.5)
 
 
 def test_the_best_known_is_the_share_of_the_shipped_table_within_the_spreads():
-    curve, (half, most) = lambda_sweep.best([0.2, 0.4])
+    curve, (half, most) = lambda_sweep.best(table(row(lam=0.2), row(lam=0.4)))
     assert list(curve) == [0.2, 0.3, 0.4]
-    assert curve[0.4] == wilson(int(recoverable.shipped()[0.4].sum()), 1000)
-    assert half.level == math.inf
-    assert 0.3 < most.low < most.level < most.high < 0.4
-    assert lambda_sweep.best([1.0, 1.5])[0] == {}
+    assert curve[0.4] == share(recoverable.shipped()[0.4], 1000)
+    assert half.value == math.inf
+    assert 0.3 < most.low < most.value < most.high < 0.4
+    assert lambda_sweep.best(table(row(lam=1.0)))[0] == {}
+    assert lambda_sweep.best(table(row(lam=0.2, plant="pilco2011")))[0] == {}
 
 
-def test_the_summary_counts_the_converged_and_marks_what_is_shipped():
-    rows = [row(), row(training=1, outcome="diverged"), row(controller="PPO balance", outcome="shipped")]
-    text = said(rows, {"PPO_balance-0": {"saved": np.ones((100, 1))}})
-    assert re.search("Q tuned +1 of 2", text)
-    assert "PPO balance †" in text
+def test_on_another_rig_it_is_evaluated_there_and_compared_with_nothing_of_the_default_one():
+    options = lambda_sweep.Options(
+        rig="gymnasium_idp", set=("force_limit=30",), only=("LQR", "PPO balance"), quick=True
+    )
+    (lqr,) = lambda_sweep.jobs(options)
+    rig = dpend.rig("gymnasium_idp").replace(force_limit=30.0)
+    starts = dpend.Balance(lam=lqr.lams[-1]).starts(np.random.default_rng([0, 1]), lqr.starts, rig)
+    task = dpend.Balance(lam=lqr.lams[-1])
+    made = ran(lqr)
+    assert made.rows["plant"].unique().tolist() == ["gymnasium_idp, force_limit=30"]
+    expected = dpend.simulate_many(rig, LQR(rig), starts, task=task).success.sum()
+    assert made.where(lam=lqr.lams[-1])["successes"].tolist() == [expected]
+    with _figures.look():
+        reported = lambda_sweep.report(made)
+    assert list(cells(reported)["Starts saved, %"]) == ["LQR"]
+    assert isinstance(reported.figures, dict)
+    assert reported.figures["_basins"].axes[0].get_title() == "LQR"
+
+
+def test_the_tables_count_the_converged_and_mark_what_is_shipped():
+    made = table(
+        row(), row(training=1, outcome="diverged", successes=0), row(contender="PPO balance", outcome="shipped"),
+        arrays={2: {"saved": np.ones((100, 1))}},
+    )  # fmt: skip
+    found = cells(lambda_sweep.report(made))
+    assert list(found["Starts saved, %"]) == [
+        "best known", "Q tuned (1 of 2 converged)", "PPO balance †", "the report's Table 2",
+    ]  # fmt: skip
+    assert found["What learning cost, medians over trainings"] == {"Q tuned": ["1 of 2", "1", "2", "3"]}
+    assert found["Starts saved by the trainings that converged, %"] == {"Q tuned": ["90.0"]}
 
 
 def test_the_reports_table_is_what_the_report_says():
     assert lambda_sweep.TABLE2 == {0.1: 0.94, 0.2: 0.92, 0.3: 0.78, 0.4: 0.49}
 
 
-def test_where_a_curve_falls_is_drawn_there_with_its_interval_and_an_arrow_beyond():
-    axis = Figure().subplots()
-    beyond = Crossing(math.inf, math.inf, math.inf)
-    falls = {"LQR": (Crossing(0.48, 0.46, 0.51), Crossing(0.3, -math.inf, 0.4)), "best": (beyond, beyond)}
-    plot_falls(axis, falls, {"LQR": ("k", "o", "-")}, [0.1, 0.6])
-    drawn = [(line.get_marker(), np.ravel(line.get_xdata()).tolist()) for line in axis.lines]
-    edges = list(axis.get_xlim())
-    assert drawn[:4] == [("None", [0.46, 0.51]), ("o", [0.48]), ("None", [edges[0], 0.4]), ("o", [0.3])]
-    assert drawn[5] == (">", [edges[1]])
-    assert [label.get_text() for label in axis.get_yticklabels()] == ["LQR", "best"]
-
-
-def test_rates_and_spreads_are_said_with_their_intervals():
-    assert percent(Rate(0.845, 0.821, 0.866)) == "84.5\n82–87"
-    assert percent(Rate(1.0, 0.9962, 1.0)) == "100.0\n99.6–100"
-    levels = [0.05, 0.6]
-    assert spread(Crossing(0.25, 0.2, 0.3), levels) == "0.250\n0.200–0.300"
-    assert spread(Crossing(0.25, -math.inf, math.inf), levels) == "0.250\n<0.05–>0.6"
-    assert spread(Crossing(math.inf, math.inf, math.inf), levels) == ">0.6"
-
-
 def test_the_finding_is_what_the_kept_table_says():
     kept = Path(__file__).parent.parent / "docs" / "results" / "lambda_sweep_100" / "rows.csv"
-    rows = _study.read_rows(kept, lambda_sweep.Row)
+    made = table(*read_rows(kept).rename(columns={"controller": "contender"}).to_dict("records"))
     finding = " ".join((lambda_sweep.__doc__ or "").partition("Finding: ")[2].split())
     for name, words in (("LQR", "LQR saves"), ("Q tuned", "Q-learning tuned")):
-        shares = [f"{100 * lambda_sweep.rate(rows, name, lam).share:.1f}" for lam in lambda_sweep.TABLE2]
+        shares = [f"{100 * lambda_sweep.saved(made, name, lam).value:.1f}" for lam in lambda_sweep.TABLE2]
         assert f"{words} {'/'.join(share.removesuffix('.0') for share in shares)} %" in finding
     for name in ("Q tuned", "Q published"):
-        assert lambda_sweep._converged(rows, name) in finding
+        assert lambda_sweep._converged(made, name) in finding
 
 
 # --------------------------------------------------------------------------------------------------------------- basins
@@ -191,7 +217,7 @@ def test_the_finding_is_what_the_kept_table_says():
 
 def test_a_basin_is_mirrored_for_a_law_that_is_odd_and_lies_within_what_can_be_saved():
     angles, force = recoverable.shipped_map()
-    saved = _basins.basin(LQR(RIG), len(angles), 0)
+    saved = _basins.basin(RIG, LQR(RIG), len(angles), 0)
     assert (saved == saved[::-1, ::-1]).all()
     assert saved[len(angles) // 2, len(angles) // 2]
     assert (force[saved] <= recoverable.FORCE).all()

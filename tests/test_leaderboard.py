@@ -1,227 +1,140 @@
-"""The leaderboard: ranks that are as sure as the runs make them, tables that hold anything, a study that resumes."""
+"""The leaderboard: the starts of each contender, ranks, what the tables say, and a study that resumes."""
 
 import re
-import shutil
 import signal
 import subprocess
 import sys
 import time
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from studies import _study, deep_swing_up, leaderboard
-from studies._entrants import ENTRANTS, YOURS
-from studies._page import Cell, Column, markdown, page
-from studies._ranks import ranking
+from rl.deep import read_trainings
+from studies import _runner, leaderboard
+from studies._board import SAVED, UP, Place, Places, _place_in_words, board, ranked, values_of
+from studies._estimates import Estimate
+from studies._field import CONTENDERS, RIG, YOURS, TaskName, find
+from studies._runner import Table, kept_table, read_rows, where
+from studies._table import load
 
 ROOT = Path(__file__).parent.parent
+BY_HAND = """
+class ByHand:
+    def start(self, n, rng):
+        return lambda t, y: y @ [-1, 150, -165, -2.5, 7, -29]
+"""
 
 
-def share(outcomes):
-    return [(outcomes, np.ones(len(outcomes)))]
+def table(*found):
+    """Return the table of jobs: for each its contender, task, work and values by quantity."""
+    rows = [
+        {"job": k, "contender": name, "task": task, "work": work, "quantity": quantity, "n": 1, "mean": 0.0}
+        for k, (name, task, work, values) in enumerate(found)
+        for quantity in values
+    ]
+    arrays = {k: {what: np.array(each, dtype=float) for what, each in job[3].items()} for k, job in enumerate(found)}
+    return Table(pd.DataFrame(rows), by_job=arrays)
+
+
+def balancing(**of):
+    """Return the table of successes by contender: a list for each λ given."""
+    return table(*(
+        (name, "balance", "runs", {SAVED[lam]: values for lam, values in by_lam.items()}) for name, by_lam in of.items()
+    ))  # fmt: skip
+
+
+def ranks(made, task):
+    return {name: place and place.rank.value for name, place in ranked(made, task).items()}
+
+
+def lines(made):
+    """Return what stands in the tables: by title and contender, the cells by heading; and the notes by title."""
+    places: dict[TaskName, Places] = {"balance": found} if (found := ranked(made, "balance")) else {}
+    sheets, _ = board(made, places)
+    return {
+        sheet.title: {
+            line[0].text: {column.heading: each for column, each in zip(sheet.columns, line, strict=True)}
+            for line in sheet.lines
+        }
+        for sheet in sheets
+    }, {sheet.title: sheet.note for sheet in sheets}
 
 
 # --------------------------------------------------------------------------------------------------------------- ranks
 
 
-def test_what_is_better_on_every_start_is_first_in_every_resample():
-    easy, hard = np.random.default_rng(0).random((2, 300)) < np.array([[0.9], [0.4]])
-    found = ranking([share(easy & hard), share(easy | hard), share(np.zeros(300))])
-    assert found.order.tolist() == [1, 0, 2]
-    assert found.rank.tolist() == found.low.tolist() == found.high.tolist() == [2, 1, 3]
-    assert found.first.tolist() == [0, 1, 0]
-    assert found.better[1].tolist() == [1, 0, 1]
-
-
-def test_ranks_of_equals_are_as_unsure_as_chance_and_those_of_unequals_become_sure_with_more_starts():
-    rng = np.random.default_rng(1)
-    few, many = (ranking([share(rng.random(n) < p) for p in (0.4, 0.6)], resamples=400) for n in (20, 1000))
-    assert (few.low[0], few.high[0]) == (1, 2)
-    assert (many.low[1], many.high[1], many.first[1]) == (1, 1, 1.0)
-    halves = np.arange(200) % 2
-    assert ranking([share(halves), share(1 - halves)]).better[0, 1] == pytest.approx(0.47, abs=0.06)
-
-
-def test_intervals_of_ranks_hold_the_true_rank_as_often_as_they_say():
-    rng = np.random.default_rng(2)
-    held = []
-    for repetition in range(40):
-        outcomes = rng.random((3, 200)) < np.array([[0.8], [0.75], [0.7]])
-        found = ranking([share(own) for own in outcomes], resamples=100, seed=repetition)
-        held.append((found.low <= [1, 2, 3]) & (found.high >= [1, 2, 3]))
-    assert np.mean(held) > 0.9
-
-
-def test_pairs_count_not_the_luck_of_the_starts():
-    level = np.random.default_rng(3).random(500)
-    found = ranking([share(level < 0.5), share(level < 0.51)])
-    assert found.better[1, 0] > 0.97  # independent samples with these shares would say 0.6
-
-
-def test_one_that_met_the_first_starts_is_compared_on_these():
-    hard_first = np.concatenate([np.zeros(50), np.ones(950)])
-    found = ranking([share(hard_first), share(np.concatenate([np.ones(25), np.zeros(25)]))])
-    assert found.rank.tolist() == [2, 1]
-    assert found.better[1, 0] == 1
-
-
-def test_the_next_criterion_decides_between_equals_and_only_between_them():
-    success, quick, slow = np.ones(20), np.full(20, -1.0), np.full(20, -2.0)
-    found = ranking([[(success, success), (slow, success)], [(success, success), (quick, success)],
-                     [(np.zeros(20), success), (np.zeros(20), np.zeros(20))]])  # fmt: skip
-    assert found.rank.tolist() == [2, 1, 3]
-
-
-def test_equals_share_a_rank():
-    found = ranking([share(np.ones(5)), share(np.ones(5)), share(np.zeros(5))])
-    assert found.rank.tolist() == [1, 1, 3]
-    assert found.first.tolist() == [1, 1, 0]
-
-
-@pytest.mark.parametrize(
-    "criteria", [[], [[(np.ones(3), np.ones(2))]], [[(np.ones(3), np.ones(3)), (np.ones(2),) * 2]]]
-)
-def test_a_ranking_of_nobody_or_of_ragged_runs_is_refused(criteria):
-    message = "Expected, of at least one, criteria of two arrays (n,) each, all of the same n."
-    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
-        ranking(criteria)
-
-
-# ---------------------------------------------------------------------------------------------------------------- page
-
-COLUMNS = (Column("", "who", "Who.", words=True), Column("A & B", "x|y", 'A "number".'))
-NASTY = "<script>alert('x')</script> | *a_b*"
-
-
-class Cells(HTMLParser):
-    """What a page shows, and its tags that were opened and closed."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.seen, self.open, self.outside = [], [], []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        if tag not in ("meta", "link", "img"):
-            self.open.append(tag)
-        self.outside += [value for name, value in attrs if name in ("src", "href")]
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-
-    def handle_data(self, data):
-        if self.open and self.open[-1] not in ("script", "style"):
-            self.seen.append(data.strip())
-
-
-def test_the_page_shows_names_as_they_are_and_runs_none_of_them():
-    text = page("Board", ["a < b"], COLUMNS, [[Cell(NASTY), Cell("1.5", "[1, 2]", 1.5, 0.5)]])
-    shown = Cells(text)
-    assert {NASTY, "a < b", "x|y", "A & B", "[1, 2]"} <= set(shown.seen)
-    assert not shown.open
-    assert shown.outside == []
-    assert text.count("<script>") == 1  # its own
-    assert "http" not in text
-    assert "url(" not in text
-
-
-@pytest.mark.skipif(shutil.which("node") is None, reason="no JavaScript here")
-def test_the_page_sorts_by_numbers_where_there_are_any_and_puts_what_has_none_last():
-    cells = {"b": Cell("10", key=10.0), "c": Cell(), "a": Cell("9", key=9.0), "d": Cell("> 1", key=np.inf)}
-    lines = [[Cell(name), cell] for name, cell in cells.items()]
-    text = page("Board", [], COLUMNS, lines)
-    script = text.split("<script>")[1].split("</script>")[0]
-    keys = re.findall(r'data-key="([^"]*)"', text)
-    program = f"""
-const keys = {keys};
-const rows = [0, 1, 2, 3].map(i => ({{cells: [0, 1].map(j => ({{dataset: {{key: keys[2 * i + j]}}}}))}}));
-const body = {{rows, append: row => {{ shown.push(row.cells[0].dataset.key); }}}};
-let shown = [];
-const presses = [];
-const heading = () => {{ const a = {{}}; return {{
-  getAttribute: n => a[n], setAttribute: (n, v) => {{ a[n] = v; }}, removeAttribute: n => {{ delete a[n]; }},
-  querySelector: () => ({{addEventListener: (_, f) => presses.push(f)}})}}; }};
-const heads = [heading(), heading()];
-globalThis.document = {{querySelector: () => body, querySelectorAll: () => heads}};
-{{
-{script}
-}}
-for (const press of [1, 1, 0]) {{ shown = []; presses[press](); console.log(shown.join("")); }}
-"""
-    done = subprocess.run(["node", "-e", program], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["abdc", "dbac", "abcd"]
-
-
-def test_the_markdown_table_has_a_cell_for_each_column_whatever_stands_in_it():
-    lines = markdown(COLUMNS, [[Cell(NASTY), Cell("1", "[0, 2]")], [Cell("line\nbreak"), Cell()]]).splitlines()
-    assert len(lines) == 4
-    assert [len(re.findall(r"(?<!\\)\|", line)) for line in lines] == [3, 3, 3, 3]
-    assert lines[1] == "| --- | ---: |"
-    assert lines[2] == r"| \<script\>alert('x')\</script\> \| \*a\_b\* | 1 [0, 2] |"
-    assert lines[3] == "| line break | – |"
-
-
-# --------------------------------------------------------------------------------------------------------------- study
-
-
-def row(entrant, quantity, values, first=0):
-    return leaderboard.Row(entrant=entrant, quantity=quantity, first=first, values=" ".join(map(str, values)))
-
-
-def test_parts_of_the_starts_are_joined_in_their_order_whatever_the_order_of_the_rows():
-    rows = [row("a", "saved, λ = 0.3", [1, 0], first=2), row("a", "saved, λ = 0.3", [0, 0], first=0)]
-    assert leaderboard.Found(rows).of("a", "saved, λ = 0.3").tolist() == [0, 0, 1, 0]
+def test_parts_of_the_starts_are_joined_in_their_order():
+    made = table(*(("a", "balance", "runs", {SAVED[0.3]: values}) for values in ([0, 0], [1, 0])))
+    assert values_of(made, "a", SAVED[0.3]).tolist() == [0, 0, 1, 0]
+    assert values_of(made, "a", SAVED[0.4]).tolist() == []
 
 
 def test_balancing_is_ranked_by_the_mean_over_the_spreads_and_not_by_the_smallest():
-    quantities = [f"saved, λ = {lam:g}" for lam in (0.05, 0.1, 0.4)]
-    of = {"a": ([0] * 8, [1] * 8, [1] * 8), "b": ([1] * 8, [1] * 8, [1, 0] * 4)}
-    rows = [
-        row(name, quantity, values)
-        for name, all_ in of.items()
-        for quantity, values in zip(quantities, all_, strict=True)
-    ]
-    ranks = leaderboard.ranked(leaderboard.Found(rows))
-    assert list(ranks) == ["balance"]
-    assert ranks["balance"].names == ["a", "b"]
-    assert ranks["balance"].ranking.rank.tolist() == [1, 2]
+    made = balancing(a={0.05: [0] * 8, 0.1: [1] * 8, 0.4: [1] * 8}, b={0.05: [1] * 8, 0.1: [1] * 8, 0.4: [1, 0] * 4})
+    assert ranks(made, "balance") == {"a": 1, "b": 2}
+    assert ranked(made, "swing-up") == {}
 
 
 def test_swing_up_is_ranked_by_success_and_then_by_time():
     times = {"slow": [5.0] * 4, "quick": [2.0] * 4, "quicker, but fails": [1.0, 1.0, 1.0, np.nan]}
-    rows = [row(name, f"up from {start}, s", own) for name, own in times.items() for start in leaderboard.STARTS]
-    ranks = leaderboard.ranked(leaderboard.Found(rows))["swing-up"]
-    assert dict(zip(ranks.names, ranks.ranking.rank, strict=True)) == {"slow": 2, "quick": 1, "quicker, but fails": 3}
+    made = table(*((name, "swing-up", "runs", dict.fromkeys(UP.values(), own)) for name, own in times.items()))
+    assert list(ranks(made, "swing-up").items()) == [("quick", 1), ("slow", 2), ("quicker, but fails", 3)]
 
 
-def test_what_everybody_was_told_is_said_of_everybody():
-    lines = leaderboard.board(
-        [row(entrant.name, "ready, s", [0.1]) for entrant in ENTRANTS] + [row("Mine", "ready, s", [1])]
+def test_without_success_there_is_no_rank_and_users_own_read_their_place():
+    made = balancing(Idle={0.1: [0] * 4}, LQR={0.1: [1] * 4}, Mine={0.1: [1, 1, 1, 0]}, SDRE={0.1: [0] * 4})
+    places = ranked(made, "balance")
+    assert (list(places), places["Idle"], places["SDRE"]) == (["LQR", "Mine", "SDRE", "Idle"], None, None)
+    found, notes = lines(made)
+    assert found["Balance, the best first"]["Idle"]["rank"].text == "–"
+    assert found["Balance, the best first"]["Idle"]["mean"].text == "0.0"
+    assert notes["Balance, the best first"] == (
+        "Mine ranks 2nd of 4 at balancing; Idle has no rank at balancing, at which it never succeeds"
     )
-    columns, cost = lines.parts["Cost"]
-    told = {line[0].text: [cell.text for cell in line[-4:]] for line in cost}
-    assert [column.heading for column in columns[-4:]] == ["model", "state", "goal", "starts to learn from"]
-    assert set(told) == {entrant.name for entrant in ENTRANTS} | {"Mine"}
-    assert told["LQR"] == ["equations and parameters", "all of it, exact", "quadratic cost", "–"]
-    assert told["Mine"] == [YOURS.model, YOURS.state, YOURS.reward, YOURS.starts]
-    assert all(told[entrant.name][0] == "none" for entrant in ENTRANTS if entrant.policy)
-    assert all("starts" not in told[entrant.name] for entrant in ENTRANTS)
+    assert ranked(balancing(Idle={0.1: [0] * 4}), "balance") == {"Idle": None}
 
 
-def test_every_deep_entrant_has_its_trainings_in_the_table_that_is_shipped():
-    kept = {training.learner for training in deep_swing_up.shipped()}
-    for entrant in ENTRANTS:
-        assert not entrant.policy or (entrant.learner is None) == bool(entrant.trainings)
-        assert not entrant.trainings or entrant.trainings in kept
+@pytest.mark.parametrize(
+    ("rank", "words"), [(1, "1st"), (2, "2nd"), (3, "3rd"), (7, "7th"), (11, "11th"), (12, "12th"), (21, "21st")]
+)
+def test_a_place_is_said_as_it_is_spoken(rank, words):
+    places: dict[str, Place | None] = {"Mine": Place(Estimate(rank), 0.0, 0.0)} | dict.fromkeys(map(str, range(24)))
+    assert _place_in_words("Mine", "swing-up", places) == f"Mine ranks {words} of 25 at swinging up"
 
 
-def test_the_share_of_failed_trainings_counts_seeds():
-    rows = [row("LSPI", "failed", [value], first=k) for k, value in enumerate([0, 0, 1, 0])]
-    (line,) = leaderboard.board(rows).parts["Cost"][1]
-    assert [cell.text for cell in line][2:7:4] == ["4", "25.0"]
+# -------------------------------------------------------------------------------------------------------------- tables
+
+
+def test_the_prior_knowledge_of_every_contender_is_in_the_table():
+    made = table(*((name, "balance", "ready", {"ready, s": [1]}) for name in (*(c.name for c in CONTENDERS), "Mine")))
+    found = lines(made)[0]["Cost and prior knowledge"]
+    words = {name: [each.text for each in line.values()][-4:] for name, line in found.items()}
+    assert words.keys() == {*(contender.name for contender in CONTENDERS), "Mine"}
+    assert words["LQR"] == ["equations and parameters", "quadratic cost", "–", "all of it, exact"]
+    assert words["Mine"] == list(YOURS)
+    assert all(words[contender.name][0] == "none" for contender in CONTENDERS if contender.policy)
+
+
+def test_the_share_of_failed_trainings_counts_trainings():
+    made = table(*(("LSPI", "balance", "training", {"failed, %": [value]}) for value in (0, 0, 1, 0)))
+    line = lines(made)[0]["Cost and prior knowledge"]["LSPI"]
+    assert (line["trainings"].text, line["failed, %"].text) == ("4", "25.0")
+
+
+def test_lqr_takes_one_time_lqrs_time_whatever_was_timed_beside_it():
+    timed = {"step, s": [1e-5], "step of LQR, s": [2e-5]}
+    made = table(*(
+        job
+        for name in ("LQR", "SDRE")
+        for job in ((name, "balance", "runs", {SAVED[0.1]: [1, 1]}), (name, "balance", "steps", timed))
+    ))  # fmt: skip
+    found = lines(made)[0]["Balance, the best first"]
+    assert [found[name]["step, ms"].under for name in ("LQR", "SDRE")] == ["(1 × LQR)", "(0.5 × LQR)"]
+
+
+# ---------------------------------------------------------------------------------------------------------------- jobs
 
 
 @pytest.mark.parametrize(
@@ -236,57 +149,81 @@ def test_bad_counts_are_refused(options, message):
         leaderboard.Options(**options)
 
 
-def test_all_meet_the_same_starts_and_the_slow_the_first_of_them():
-    options = leaderboard.Options(starts=200)
-    mpc, lqr = options.entrant("iLQR MPC"), options.entrant("LQR")
-    met = [options.part(mpc, chunk) for chunk in range(2)]
-    assert met == [(0, 25), (25, 15)]
-    assert options.part(lqr, 0) == (0, 200)
-    assert len([job for job in leaderboard.jobs(options) if job.setting == "balance + iLQR MPC"]) == 2
-    task = options.balance()
-    assert (leaderboard._starts(task, 40, options) == leaderboard._starts(task, 200, options)[:40]).all()
+def test_all_contenders_have_the_same_starts_and_the_slow_the_first_of_them(monkeypatch):
+    jobs = leaderboard.jobs(leaderboard.Options(starts=200, only=("iLQR MPC", "PPO swing-up")))
+    runs = [job for job in jobs if (job.work, job.task) == ("runs", "swing-up")]
+    assert [(job.contender, job.first, job.runs) for job in runs] == [
+        ("iLQR MPC", 0, 25), ("iLQR MPC", 25, 15), ("PPO swing-up", 0, 200),
+    ]  # fmt: skip
+    assert len(set(jobs)) == len(jobs)
+    seen = []
+    monkeypatch.setattr(leaderboard.dpend, "simulate_many", lambda rig, law, x0, **how: seen.append(x0))
+    for job in runs:
+        for task in leaderboard._kinds("swing-up", ()).values():
+            leaderboard._simulate(job, find("LQR").make(RIG, task), task)
+    for first, second, every in zip(*(seen[k : k + 3] for k in (0, 3, 6)), strict=True):
+        assert (np.concatenate([first, second]) == every[:40]).all()
 
 
-def untimed(file):
-    return [line for line in file.read_text().splitlines() if not re.search(r"step|ready|training, s", line)]
+def test_every_deep_contender_has_its_trainings_where_they_are_read():
+    kept = read_rows(kept_table("deep_swing_up"))
+    for contender in CONTENDERS:
+        assert not contender.policy or (contender.learner is None) == bool(contender.trainings)
+        if contender.trainings:
+            seeds = where(kept, learner=contender.trainings)["training"].tolist()
+            assert seeds == list(read_trainings(leaderboard._file(contender)))
 
 
-def study(out, *arguments):
+def test_a_deep_policy_that_balances_as_well_as_others_has_not_failed():
+    (job,) = (job for job in leaderboard.jobs(leaderboard.Options(only=("DDPG balance",))) if job.work == "deep")
+    found = {row["quantity"]: row["mean"] for row in leaderboard.run(job).rows}
+    assert (found["failed, %"], found["learning, s"]) == (0.0, 2000.0)
+
+
+# --------------------------------------------------------------------------------------------------------------- study
+
+
+def study(out):
     return [sys.executable, "-m", "studies.leaderboard", "--quick", "--workers", "1", "--out", str(out),
-            "--only", "LQR", "sign of LQR", *arguments]  # fmt: skip
+            "--only", "LQR", "sign of LQR"]  # fmt: skip
+
+
+def untimed(folder):
+    rows = load(folder).rows
+    return rows[~rows["work"].isin(("steps", "ready"))].to_csv()
 
 
 @pytest.mark.slow
-def test_killed_in_the_middle_and_started_again_it_ends_with_the_same_table_and_your_own_controller_in_it(tmp_path):
-    (tmp_path / "mine.py").write_text(
-        "class ByHand:\n    def start(self, n, rng):\n        return lambda t, y: y @ [-1, 150, -165, -2.5, 7, -29]\n"
-    )
-    own = ("--controller", str(tmp_path / "mine.py") + ":ByHand")
+def test_killed_in_the_middle_and_started_again_it_ends_with_the_same_table(tmp_path):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
-    subprocess.run(study(whole, *own), cwd=ROOT, check=True, capture_output=True)
-    process = subprocess.Popen(study(broken, *own), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while len(list((broken / "jobs").glob("*.json"))) < 3:
-        time.sleep(0.02)
+    subprocess.run(study(whole), cwd=ROOT, check=True, capture_output=True)
+    process = subprocess.Popen(study(broken), cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while len(list((broken / "jobs").glob("*.npz"))) < 3:
+        time.sleep(0.01)
         assert process.poll() is None
     process.send_signal(signal.SIGKILL)
     process.wait()
-    kept = {file: file.stat().st_mtime_ns for file in (broken / "jobs").glob("*.json")}
-    assert 3 <= len(kept) < len(list((whole / "jobs").glob("*.json")))
-    subprocess.run(study(broken, *own), cwd=ROOT, check=True, capture_output=True)
+    kept = {file: file.stat().st_mtime_ns for file in (broken / "jobs").glob("*.npz")}
+    assert 3 <= len(kept) < len(list((whole / "jobs").glob("*.npz")))
+    subprocess.run(study(broken), cwd=ROOT, check=True, capture_output=True)
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
-    assert untimed(broken / "rows.csv") == untimed(whole / "rows.csv")
-    lines = (broken / "rows.csv").read_text().splitlines()
-    assert len(lines) == len(set(lines)) == len((whole / "rows.csv").read_text().splitlines())
-    rows = _study.read_rows(broken / "rows.csv", leaderboard.Row)
-    found = leaderboard.Found(rows)
-    assert found.doing("balance") == ["LQR", "sign of LQR", "ByHand"]
-    assert found.doing("swing-up") == ["ByHand"]
-    assert len(found.of("ByHand", "robustness balance")) == 3
-    assert len(found.of("ByHand", "step of 1000 balance, s")) == 1
-    for name in ("leaderboard.md", "leaderboard.html"):
-        text = (broken / name).read_text()
+    assert untimed(broken) == untimed(whole)
+
+
+def test_a_controller_of_ones_own_stands_at_its_place_in_every_part(tmp_path, capsys):
+    (tmp_path / "mine.py").write_text(BY_HAND)
+    made = _runner.main("studies.leaderboard", [
+        "--quick", "--workers", "1", "--out", str(tmp_path), "--only", "LQR", "sign of LQR",
+        "--controller", f"{tmp_path / 'mine.py'}:ByHand",
+    ])  # fmt: skip
+    assert ranks(made, "balance") == {"LQR": 1, "ByHand": 1, "sign of LQR": 3}
+    assert ranks(made, "swing-up") == {"ByHand": None}
+    assert len(values_of(made, "ByHand", "step of 1000, s", task="balance")) == 1
+    assert made.array("delay", contender="ByHand", task="balance").shape == (2, 2)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "ByHand ranks 1st of 3 at balancing" in printed
+    assert "ByHand has no rank at swinging up, at which it never succeeds" in printed
+    for name in ("tables.md", "leaderboard.html"):
+        text = (tmp_path / name).read_text()
         assert "ByHand" in text
-        assert "recoverable" in text
-    shown = Cells((broken / "leaderboard.html").read_text())
-    assert not shown.open
-    assert shown.outside == []
+        assert "best known" in text

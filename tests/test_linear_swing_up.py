@@ -1,11 +1,29 @@
 """The search among linear laws for a swing-up: its roll-outs, its evolution strategy, its laws."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose
 
 import dpend
-from studies.linear_swing_up import LAWS, STATES, LinearLaw, Score, _evolve, _holding, _scores, _task
+from studies import linear_swing_up
+from studies._runner import Table, plain_fields
+from studies._tables import markdown
+from studies.linear_swing_up import (
+    FEATURES,
+    FORCES,
+    LAWS,
+    STARTS,
+    STATES,
+    Job,
+    LinearLaw,
+    Options,
+    Score,
+    _evolve,
+    _holding,
+    _scores,
+    _task,
+)
 
 RIG = dpend.rig("gustafsson2016")
 
@@ -63,3 +81,29 @@ def test_drawn_gains_hold_upright():
 @pytest.mark.parametrize(("start", "angle"), [("side", np.pi / 2), ("hanging", np.pi)])
 def test_swing_ups_start_at_rest(start, angle):
     assert_allclose(_task(start).starts(np.random.default_rng(0), 1, RIG), [[0, angle, angle, 0, 0, 0]])
+
+
+def test_sizes_in_the_table_are_those_that_were_run():
+    rows = [
+        {"job": 0, **plain_fields(Job(part="search", seed=0, law="K·s", state="nearest turn", starts_near=20)),
+         "outcome": "not up", "episodes": 64, "successes": 0, "longest": 0.5, "near": 5},
+        {"job": 1, **plain_fields(Job(part="learning", seed=0, features="scaled", trainings=1)),
+         "outcome": "diverged", "episodes": 7, "successes": 0, "longest": 0.25, "near": 0},
+    ]  # fmt: skip
+    arrays = {"scores": np.ones(3), "angles": np.zeros((5, 2))}
+    learned, searched = linear_swing_up.report(Table(pd.DataFrame(rows), by_job={0: arrays})).tables
+    assert "| scaled | 1 | 1 | 7 | 0 | 0.25 |" in markdown(learned)
+    line = "| side | K·s, nearest turn | 64 | 0 | not up | 0.50 | 20 | 25.0 [11.2, 46.9] |"
+    assert line in markdown(searched)
+
+
+def test_a_quick_search_is_smaller_but_its_runs_are_as_long():
+    quick, full = linear_swing_up.jobs(Options(quick=True)), linear_swing_up.jobs(Options())
+    assert {job.part for job in quick} == {"learning", "search"}
+    assert len(full) == len(STARTS) * len(LAWS) * len(STATES) + len(FEATURES) * len(FORCES)
+    assert {job.starts_near for job in full if job.part == "search"} == {1000}
+    (search,) = (job for job in quick if job.part == "search")
+    assert search.candidates == 64
+    (row,), arrays = linear_swing_up.run(search)
+    assert row["episodes"] == 64 + 256 * search.generations
+    assert (arrays["saved"].sum(), len(arrays["saved"])) == (row["near"], search.starts_near)

@@ -1,6 +1,5 @@
 """What the README shows, works."""
 
-import importlib
 import re
 from pathlib import Path
 
@@ -8,8 +7,8 @@ import numpy as np
 import pytest
 
 import dpend
-from studies import _study
-from studies._entrants import RIG, own
+from studies import _runner
+from studies._field import RIG, own
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 EXAMPLES = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
@@ -47,10 +46,10 @@ def test_a_controller_in_every_comparison_takes_ten_lines(mine):
         "leaderboard", "lambda_sweep", "swing_up", "smoothness", "robustness"
     }  # fmt: skip
     (spec,) = {spec for _, spec in OWN}
-    entrant = own(spec)
+    contender = own(spec)
     task = dpend.Balance(lam=0.1)
     starts = task.starts(np.random.default_rng(0), 20, RIG)
-    assert dpend.simulate_many(RIG, entrant.make(RIG, task), starts, task=task).success.all()
+    assert dpend.simulate_many(RIG, contender.make(RIG, task), starts, task=task).success.all()
 
 
 @pytest.mark.slow
@@ -58,10 +57,9 @@ def test_a_controller_in_every_comparison_takes_ten_lines(mine):
 def test_a_controller_of_ones_own_appears_in_every_comparison(study, spec, mine, tmp_path):
     out = tmp_path / "out"
     options = ["--quick", "--workers", "1", "--out", str(out), "--only", "LQR", "TVLQR"]
-    rows = _study.main(study, ["--controller", spec, *options])
-    names = {value for row in rows for value in vars(row).values() if isinstance(value, str)}
-    assert "ByHand" in names
-    assert len(rows) == len(_study.read_rows(out / "rows.csv", importlib.import_module(study).Row))
+    table = _runner.main(study, ["--controller", spec, *options])
+    assert "ByHand" in table.rows.to_numpy()
+    assert len(table.rows) == len(_runner.read_rows(out / "rows.csv"))
 
 
 def test_there_are_two_commands_that_set_up_and_run():

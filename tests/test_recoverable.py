@@ -8,12 +8,15 @@ import pytest
 import dpend
 from controllers import LQR, NoTrajectory, Zero
 from controllers.least_force import LeastForce
-from studies import _study, recoverable
-from studies._study import Job
+from studies import _figures, _rescue, recoverable
+from studies._closure import kept_table
+from studies._null_controllable import null_controllable
+from studies._runner import Table
+from studies._table import read_rows, where
 from tests.rigs import endless, whole
 
 RIG = dpend.rig("gustafsson2016")
-SET = recoverable.null_controllable(RIG.params, 40.0)
+SET = null_controllable(RIG.params, 40.0)
 
 
 def at_rest(*angles):
@@ -26,7 +29,7 @@ def at_rest(*angles):
 def test_a_mode_alone_can_be_held_up_to_b_times_the_force_by_its_rate():
     b = (SET.W @ dpend.linearize(RIG.params)[1])[:, 0]
     assert np.abs(SET.boundary).max(axis=0) == pytest.approx(np.abs(b) * 40.0 / SET.rates, rel=1e-12)
-    half = recoverable.null_controllable(RIG.params, 20.0)
+    half = null_controllable(RIG.params, 20.0)
     assert half.boundary == pytest.approx(SET.boundary / 2)
 
 
@@ -146,9 +149,9 @@ def test_the_forces_of_a_plan_save_the_start_in_the_simulator_and_the_mirrored_o
     plan = search(start)
     assert plan.about["force"] < 40.0
     assert not dpend.simulate_many(RIG, LQR(RIG), start[None], task=task).success[0]
-    assert recoverable.holds(plan, start, task)
-    assert not recoverable.holds(plan, -start, task)
-    replay = recoverable.Replay(plan.u[None], LQR(RIG))
+    assert _rescue.holds(plan, start, task)
+    assert not _rescue.holds(plan, -start, task)
+    replay = _rescue.Replay(plan.u[None], LQR(RIG))
     runs = dpend.simulate_many(RIG, replay, start[None], task=task, record=True)
     assert runs.u[0, : len(plan.u)] == pytest.approx(plan.u)
     assert runs.x is not None
@@ -157,38 +160,38 @@ def test_the_forces_of_a_plan_save_the_start_in_the_simulator_and_the_mirrored_o
 
 @pytest.mark.slow
 def test_every_start_that_any_controller_saves_counts_as_recoverable():
-    options = recoverable.Options(lam=(0.4,), starts=8, planned=2, grid=0)
+    options = recoverable.Options(lam=(0.4,), starts=8, planned=2, planned_lam=(0.4,), grid=0)
     (job,) = recoverable.jobs(options)
-    rows = recoverable.run(job, options).rows
+    rows = recoverable.run(job).rows
     task = dpend.Balance(lam=0.4)
     x0 = task.starts(np.random.default_rng([0, 1]), 8, RIG)
-    can = np.array([row.recoverable for row in rows])
-    for law in recoverable.LAWS.values():
+    can = np.array([row["recoverable"] for row in rows])
+    for law in _rescue.LAWS.values():
         assert (can | ~dpend.simulate_many(RIG, law(), x0, task=task).success).all()
-    assert all(row.recoverable for row in rows if row.mpc == "yes" or row.lqr or row.stiff_sign)
-    assert all(row.report for row in rows if row.recoverable)
-    assert [row.recoverable for row in rows] == [row.by != recoverable.NONE for row in rows]
-    assert all(row.least_force > 0.99 * 40 for row in rows if not row.recoverable)
-    assert {row.by for row in rows} > {"LQR", recoverable.OPTIMAL, recoverable.NONE}
+    assert all(row["recoverable"] for row in rows if row["mpc"] == "yes" or row["lqr"] or row["stiff_sign"])
+    assert all(row["mpc"] != "-" for row in rows[:2])
+    assert all(row["report"] for row in rows if row["recoverable"])
+    assert [row["recoverable"] for row in rows] == [row["by"] != _rescue.NONE for row in rows]
+    assert all(row["least_force"] > 0.99 * 40 for row in rows if not row["recoverable"])
+    assert {row["by"] for row in rows} > {"LQR", _rescue.OPTIMAL, _rescue.NONE}
 
 
-def test_a_controller_of_yours_is_asked_for_what_nothing_else_saves_and_its_success_counts(tmp_path, monkeypatch):
+def test_a_controller_of_yours_is_tried_on_what_nothing_else_saves_and_its_success_counts(tmp_path, monkeypatch):
     (tmp_path / "mine.py").write_text("from controllers import LQR\ndef mine(rig):\n    return LQR(rig)\n")
     options = recoverable.Options(lam=(0.1,), starts=3, grid=0, controller=(f"{tmp_path / 'mine.py'}:mine",))
     (job,) = recoverable.jobs(options)
-    assert {row.by for row in recoverable.run(job, options).rows} == {"LQR"}
-    monkeypatch.setattr(recoverable, "LAWS", dict.fromkeys(("LQR", "sign of stiff LQR"), Zero))
-    monkeypatch.setattr(recoverable, "ILQRMPC", lambda rig, **settings: Zero())
-    monkeypatch.setattr(recoverable, "optimal", lambda *_: (math.nan, False))
-    rows = recoverable.run(job, options).rows
-    assert {row.by for row in rows} == {"mine"}
-    assert all(row.recoverable and not row.lqr and row.mpc == "no" for row in rows)
-    assert recoverable.jobs(recoverable.Options(lam=(0.1,), starts=3, grid=0)) == [Job("lam 0.1", 0)] != [job]
+    assert {row["by"] for row in recoverable.run(job).rows} == {"LQR"}
+    monkeypatch.setattr(_rescue, "LAWS", dict.fromkeys(("LQR", "sign of stiff LQR"), Zero))
+    monkeypatch.setattr(_rescue, "ILQRMPC", lambda rig, **settings: Zero())
+    monkeypatch.setattr(_rescue, "optimal", lambda *_: (math.nan, False))
+    rows = recoverable.run(job).rows
+    assert {row["by"] for row in rows} == {"mine"}
+    assert all(row["recoverable"] and not row["lqr"] and row["mpc"] == "no" for row in rows)
+    assert recoverable.jobs(recoverable.Options(lam=(0.1,), starts=3, grid=0)) != [job]
 
 
 def test_one_half_of_the_map_and_its_mirror_image_are_the_whole_map():
-    options = recoverable.Options(grid=9)
-    half = recoverable.map_starts(options)[:, 1:3]
+    half = recoverable.map_starts(9, 0.8)[:, 1:3]
     whole_map = {tuple(np.round(sign * point, 9) + 0.0) for point in half for sign in (1, -1)}
     assert len(whole_map) == 81
     assert len(half) == 41
@@ -197,9 +200,9 @@ def test_one_half_of_the_map_and_its_mirror_image_are_the_whole_map():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"lam": ()}, "--lam needs at least one spread."),
-        ({"only": ("LQR",)}, "--only leaves nobody out here: every start is tried by all that may save it."),
-        ({"lam": (0.1, 0.1)}, "--lam names a spread twice; got (0.1, 0.1)."),
+        ({"lam": ()}, "--lam needs at least one angle."),
+        ({"only": ("LQR",)}, "--only leaves out no contender here: every start is tried by all that may save it."),
+        ({"lam": (0.1, 0.1)}, "--lam names an angle twice; got (0.1, 0.1)."),
         ({"starts": 0}, "--starts must be at least 1; got 0."),
         ({"grid": -1}, "--grid must be at least 0; got -1."),
         ({"extent": 2.0}, "--extent must be between 0 and pi/2 rad; got 2.0."),
@@ -211,20 +214,44 @@ def test_bad_options_are_refused(wrong, message):
 
 
 def test_the_shipped_table_is_of_the_starts_that_all_studies_draw():
-    file = recoverable.table()
-    rows = [row for row in _study.read_rows(file, recoverable.Row) if row.lam == 0.4]
+    every = read_rows(kept_table("recoverable"))
+    rows = where(every, lam=0.4)
     starts = dpend.Balance(lam=0.4).starts(np.random.default_rng([0, 1]), len(rows), RIG)
-    assert np.array([(row.th1, row.th2) for row in rows]) == pytest.approx(starts[:, 1:3], abs=1e-5)
-    assert [row.index for row in rows] == list(range(len(rows)))
+    assert rows[["th1", "th2"]].to_numpy() == pytest.approx(starts[:, 1:3], abs=1e-5)
+    assert rows["index"].tolist() == list(range(len(rows)))
     shipped = recoverable.shipped()
-    assert shipped[0.4].tolist() == [row.recoverable for row in rows]
-    for saved in (
-        dpend.simulate_many(RIG, law(), starts[:200], task=dpend.Balance()) for law in recoverable.LAWS.values()
-    ):
+    assert shipped[0.4].tolist() == rows["recoverable"].tolist()
+    for saved in (dpend.simulate_many(RIG, law(), starts[:200], task=dpend.Balance()) for law in _rescue.LAWS.values()):
         assert (shipped[0.4][:200] | ~saved.success).all()
     assert {lam: len(known) for lam, known in shipped.items()}.items() >= {0.1: 1000, 0.2: 1000, 0.3: 1000}.items()
 
 
 def test_jobs_cover_every_start_once():
-    options = recoverable.Options(lam=(0.3,), starts=60, grid=0)
-    assert recoverable.jobs(options) == [Job("lam 0.3", 0), Job("lam 0.3", 1)]
+    jobs = recoverable.jobs(recoverable.Options(lam=(0.3,), starts=60, planned=52, grid=0))
+    assert [(job.lam, job.first, job.starts, job.planned) for job in jobs] == [(0.3, 0, 50, 52), (0.3, 50, 10, 2)]
+    on_map = [job for job in recoverable.jobs(recoverable.Options(grid=11)) if job.lam is None]
+    assert [(job.first, job.starts) for job in on_map] == [(0, 50), (50, 11)]
+
+
+def test_the_report_is_what_the_kept_table_says_with_its_own_numbers_of_starts():
+    with _figures.look():
+        reported = recoverable.report(Table(read_rows(kept_table("recoverable"))))
+    shares, ways, first = ({line[0].text: line for line in sheet.lines} for sheet in reported.tables)
+    assert [cell.text for cell in shares["recoverable"][1:]] == [
+        "100.0", "100.0", "100.0", "98.7", "86.5", "73.8", "60.1",
+    ]  # fmt: skip
+    assert {cell.text for cell in shares["starts"][1:]} == {"1,000"}
+    assert sum(int(line[4].text) for line in ways.values()) == 1000
+    assert [first[lam][5].text for lam in ("0.3", "0.4")] == ["99.5", "97.6"]
+    assert isinstance(reported.figures, dict)
+    assert list(reported.figures) == ["", "_map"]
+
+
+def test_the_map_is_mirrored_about_its_middle():
+    angles, force = recoverable.shipped_map()
+    assert len(angles) == len(force) == 41
+    assert angles[20] == 0
+    np.testing.assert_array_equal(force, force[::-1, ::-1])
+    rows = recoverable.shipped_rows()
+    row = rows[rows["lam"].isna()].iloc[500]
+    assert force[np.argmin(abs(angles - row["th2"])), np.argmin(abs(angles - row["th1"]))] == row["least_force"]

@@ -1,11 +1,13 @@
-"""Everyone meets the same perturbations, they are what they say, and the scores are between never and always."""
+"""All contenders have the same perturbations, they are what they say, and the scores are between never and always."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -13,17 +15,19 @@ import dpend
 from controllers import LQR, BangBang, Zero
 from dpend import Stepper
 from dpend.params import Array
+from studies import _figures, _runner, robustness
 from studies import _perturbations as perturbations
-from studies import _study, robustness
-from studies._entrants import RIG
+from studies._field import RIG, find
 from studies._perturbations import AXES, FRICTIONS, GROUPS, NOMINAL, PARAMETERS, SENSORS, UNCERTAIN, Pulses, task_of
+from studies._table import Table
+from studies._tables import markdown
 
 TASK = task_of("balance", 1.0)
 BY_NAME = {axis.name: axis for axis in AXES}
 
 
-class Told:
-    """A law that keeps what it measured and gives no force."""
+class Recorder:
+    """A law that keeps what it measured and returns no force."""
 
     def __init__(self) -> None:
         self.seen: list[Array] = []
@@ -36,23 +40,23 @@ class Told:
         return act
 
 
-# ------------------------------------------------------------------------------------------------- what everyone meets
+# ----------------------------------------------------------------------------------------------- the same for all
 
 
 @pytest.mark.parametrize("name", ["velocity noise", "force noise", "pulses"])
-def test_those_who_meet_fewer_starts_meet_the_first_with_the_same_noise_and_pushes(name: str) -> None:
-    few, many = Told(), Told()
+def test_fewer_starts_are_the_first_with_the_same_noise_and_pushes(name: str) -> None:
+    few, many = Recorder(), Recorder()
     task = task_of("swing-up", 0.5)
     for law, starts in ((few, 2), (many, 5)):
-        perturbations.meet(law, task, BY_NAME[name], starts, seed=3)
+        perturbations.evaluate(law, task, BY_NAME[name], starts, seed=3)
     rows = 2 * len(BY_NAME[name].levels)
     assert_array_equal(np.stack(few.seen), np.stack(many.seen)[:, :rows])
 
 
 def test_all_levels_of_a_start_begin_at_the_same_state_and_another_seed_elsewhere() -> None:
-    first = [Told(), Told()]
+    first = [Recorder(), Recorder()]
     for law, seed in zip(first, (0, 1), strict=True):
-        perturbations.meet(law, TASK, BY_NAME["response"], 3, seed)
+        perturbations.evaluate(law, TASK, BY_NAME["response"], 3, seed)
     levels = len(BY_NAME["response"].levels)
     one, other = (law.seen[0].reshape(3, levels, 6) for law in first)
     assert_array_equal(one, np.broadcast_to(one[:, :1], one.shape))
@@ -65,7 +69,7 @@ def test_the_nominal_level_is_a_plain_simulation() -> None:
     law = BangBang(LQR(RIG), 40.0)
     plain = dpend.simulate_many(RIG, law, starts, task=task, seed=5).success
     assert 0 < plain.mean() < 1
-    assert_array_equal(perturbations.meet(law, task, NOMINAL, 20, 5)[:, 0], plain)
+    assert_array_equal(perturbations.evaluate(law, task, NOMINAL, 20, 5)[:, 0], plain)
     # An axis at its nominal level changes nothing either.
     for axis in (*AXES, *SENSORS):
         rig = RIG.replace(**axis.changes(np.array(1e-12 if axis.name == "encoders" else 0.0)))
@@ -76,7 +80,7 @@ def test_the_nominal_level_is_a_plain_simulation() -> None:
         assert_allclose(moved.step(forces), same.step(forces), rtol=0, atol=2e-3 if axis.group == "sensors" else 1e-12)
 
 
-def test_plants_are_the_same_for_those_who_meet_fewer() -> None:
+def test_fewer_plants_are_the_first() -> None:
     many = perturbations.plants(64, seed=2)
     for name, values in perturbations.plants(16, seed=2).items():
         assert_array_equal(values, many[name][:16])
@@ -133,17 +137,17 @@ def test_plants_stay_within_a_fifth_and_cover_it_evenly() -> None:
         assert_array_equal(np.sort(np.floor(share * n * (1 - 1e-12))), np.arange(n))
 
 
-def test_the_plants_that_are_met_are_those_that_were_drawn() -> None:
-    met = perturbations.meet_plants(Zero(), task_of("balance", 0.02), 16, 2, seed=0)
-    assert_array_equal(met, np.ones((16, 2)))  # nobody falls in one sample
+def test_on_every_plant_a_sample_passes_without_a_fall() -> None:
+    found = perturbations.evaluate_on_plants(Zero(), task_of("balance", 0.02), 16, 2, seed=0)
+    assert_array_equal(found, np.ones((16, 2)))
 
 
 def test_behind_sensors_the_state_is_measured_rates_too_or_positions_alone() -> None:
     (noise,) = (axis for axis in SENSORS if axis.name == "noise")
     positions, exact = [], []
     for view, seen in (("differences", positions), ("rates measured", exact)):
-        law = Told()
-        perturbations.meet_sensors(law, task_of("swing-up", 0.1), noise, view, 3, seed=0)
+        law = Recorder()
+        perturbations.evaluate_with_sensors(law, task_of("swing-up", 0.1), noise, view, 3, seed=0)
         seen += law.seen[:2]  # at the first level
     assert (positions[0][:, 3:] == 0).all()
     assert_array_equal(positions[1][:, 3:], (positions[1] - positions[0])[:, :3] / RIG.sample_time)
@@ -161,114 +165,130 @@ def outcomes(value: float | Array, starts: int = 20) -> dict[str, Array]:
     return {axis.name: np.broadcast_to(value, (starts, len(axis.levels))) for axis in (NOMINAL, *AXES)}
 
 
-def test_who_never_fails_scores_one_and_who_always_fails_scores_nought() -> None:
-    assert perturbations.score(outcomes(1.0)).share == perturbations.realaigym(outcomes(1.0)) == 1.0
-    assert perturbations.score(outcomes(0.0)).share == perturbations.realaigym(outcomes(0.0)) == 0.0
-    assert perturbations.score(perturbations.measure(Zero(), "balance", starts=2)).share == 0.0
+def test_without_failure_the_score_is_one_and_without_success_nought() -> None:
+    assert perturbations.score(outcomes(1.0)).value == perturbations.realaigym(outcomes(1.0)) == 1.0
+    assert perturbations.score(outcomes(0.0)).value == perturbations.realaigym(outcomes(0.0)) == 0.0
+    assert perturbations.score(perturbations.measure(Zero(), "balance", starts=2)).value == 0.0
 
 
 def test_the_score_weighs_the_six_axes_alike_and_leaves_the_nominal_level_out() -> None:
-    met = outcomes(0.0) | {"delay": np.ones((20, 2)), NOMINAL.name: np.ones((20, 1))}
-    assert perturbations.score(met).share == pytest.approx(1 / 6)
+    found = outcomes(0.0) | {"delay": np.ones((20, 2)), NOMINAL.name: np.ones((20, 1))}
+    assert perturbations.score(found).value == pytest.approx(1 / 6)
     assert len(GROUPS) == 6
     # RealAIGym counts the nominal level as one of 21 where it has it.
-    assert perturbations.realaigym(met) == pytest.approx((3 / 21 + 1) / 6)
+    assert perturbations.realaigym(found) == pytest.approx((3 / 21 + 1) / 6)
 
 
 def test_starts_that_differ_widen_the_interval_of_the_score() -> None:
     half = np.repeat([[0.0], [1.0]], 10, axis=0)
     alike = outcomes(0.0) | {name: np.ones((20, len(BY_NAME[name].levels))) for name in ("delay", "pulses", "response")}
     spread, narrow = perturbations.score(outcomes(half)), perturbations.score(alike)
-    assert spread.share == narrow.share == pytest.approx(0.5)
+    assert spread.value == narrow.value == pytest.approx(0.5)
     assert spread.high - spread.low > 0.4 > 0.2 > narrow.high - narrow.low
 
 
 def test_a_majority_decides_a_setting_and_pulses_weaker_than_theirs_do_not_count() -> None:
-    met = outcomes(0.0)
-    met["pulses"] = np.repeat([[0.0, 0, 0.6, 0.6, 0.4, 0.4]], 20, axis=0)
-    assert perturbations.realaigym(met) == pytest.approx(0.5 / 6)
+    found = outcomes(0.0)
+    found["pulses"] = np.repeat([[0.0, 0, 0.6, 0.6, 0.4, 0.4]], 20, axis=0)
+    assert perturbations.realaigym(found) == pytest.approx(0.5 / 6)
 
 
 # ------------------------------------------------------------------------------------------------------------ the study
 
 
-def table(met: dict[str, Array], controller: str = "LQR") -> list[robustness.Row]:
-    """Return the rows of outcomes."""
-    axes = {axis.name: axis for axis in (NOMINAL, *AXES)}
-    return [
-        row
-        for name, of in met.items()
-        for row in robustness._rows(robustness.Case(controller, "balance", "axes", name), axes[name].levels, of.T)
-    ]
+def table(found: dict[str, Array], contender: str = "LQR") -> Table:
+    """Return the table of outcomes while balancing."""
+    levels = {axis.name: axis.levels for axis in (NOMINAL, *AXES)} | {"-": tuple(range(16))}
+    rows = [
+        {"job": k, "contender": contender, "task": "balance", "part": "plants" if axis == "-" else "axes", "axis": axis,
+         "view": "-", "level": level, "runs": len(of), "successes": int(of[:, i].sum())}
+        for k, (axis, of) in enumerate(found.items())
+        for i, level in enumerate(levels[axis])
+    ]  # fmt: skip
+    return Table(pd.DataFrame(rows), by_job={k: {"outcomes": of.astype(bool)} for k, of in enumerate(found.values())})
 
 
 def test_the_table_keeps_every_start() -> None:
     rng = np.random.default_rng(0)
-    met = {name: (rng.random(of.shape) < 0.7).astype(float) for name, of in outcomes(0.0).items()}
-    found = robustness.outcomes_of(table(met), "LQR", "balance")
-    for name, of in met.items():
+    drawn = {name: (rng.random(of.shape) < 0.7).astype(float) for name, of in outcomes(0.0).items()}
+    found = robustness.outcomes_of(table(drawn), "LQR", "balance")
+    assert found.keys() == drawn.keys()
+    for name, of in drawn.items():
         assert_array_equal(found[name], of)
-    assert robustness.score(table(met), "LQR", "balance") == perturbations.score(met)
+    assert robustness.score(table(drawn), "LQR", "balance") == perturbations.score(drawn)
     with pytest.raises(KeyError, match=re.escape("The table says nothing of 'SDRE' at the task 'balance'.")):
-        robustness.score(table(met), "SDRE", "balance")
+        robustness.score(table(drawn), "SDRE", "balance")
 
 
-def test_the_pages_tell_of_success_and_of_where_it_breaks() -> None:
-    met = outcomes(1.0) | {"delay": np.repeat([[1.0, 0.0]], 20, axis=0)}
-    (text,) = robustness.pages(table(met), {}).values()
-    assert "| LQR | balance | 2000 | 100.0 | 100.0 | 100.0 | 100.0 | 100.0 | 50.0 | 100.0 | 91.7 [" in text
-    assert "| LQR | balance | above 25 | above 0.5 | above 7.3 | above 0.9 | 1.5 [1.5, 1.5] | above 1 |" in text
+def test_the_tables_say_how_often_it_succeeds_and_where_it_breaks() -> None:
+    found = outcomes(1.0) | {"delay": np.repeat([[1.0, 0.0]], 20, axis=0), "-": np.ones((4, 16))}
+    with _figures.look():
+        reported = robustness.report(table(found))
+    scores, breaks, plants = map(markdown, reported.tables)
+    assert "| LQR | balance | 2,000 | 100.0 | 100.0 | 100.0 | 100.0 | 100.0 | 50.0 | 100.0 | 91.7 [" in scores
+    assert r"| LQR | balance | \> 25 | \> 0.5 | \> 7.3 | \> 0.9 | 1.5 | \> 1 |" in breaks
+    assert "| LQR | balance | 16 | 100.0 [94.3, 100.0] | 100.0 | 100.0 |" in plants
+    assert isinstance(reported.figures, dict)
+    assert list(reported.figures) == ["", "_parameters", "_balance", "_plants"]
 
 
 def test_success_breaks_where_half_of_the_starts_fail_on_either_side() -> None:
-    met = outcomes(1.0) | {"com1": np.repeat([[0.0, 0, 0, 1, 1, 1]], 20, axis=0)}
+    found = outcomes(1.0) | {"com1": np.repeat([[0.0, 0, 0, 1, 1, 1]], 20, axis=0)}
     axis = BY_NAME["com1"]
-    assert 0 < robustness.breaking(met, axis, -1).level < 0.08
-    assert robustness.breaking(met, axis, 1).level == np.inf
-    assert robustness.weakest(met)[:2] == ("com1", -1)
-    assert robustness.breaking(outcomes(0.0), axis).level == -np.inf
+    assert 0 < robustness.breaking(found, axis, -1).value < 0.08
+    assert robustness.breaking(found, axis, 1).value == np.inf
+    assert robustness.weakest(found)[:2] == ("com1", -1)
+    assert robustness.breaking(outcomes(0.0), axis).value == -np.inf
+    assert robustness._breaks(table(outcomes(0.0))).lines[0][2].text == "–"
 
 
-def test_a_controller_of_your_own_appears_in_every_part(tmp_path: Any) -> None:
-    file = tmp_path / "mine.py"
-    file.write_text(
+def test_a_controller_of_ones_own_appears_in_every_part(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
         "class ByHand:\n    def start(self, n, rng):\n        return lambda t, y: y @ [-1, 150, -165, -2.5, 7, -29]\n"
     )
-    options = robustness.Options(controller=(f"{file}:ByHand",), only=("LQR",), quick=True, starts=2)
-    jobs = [job for job in robustness.jobs(options) if job.setting.startswith("ByHand + balance")]
-    assert {job.setting.split(" + ")[2] for job in jobs} == {"axes", "plants", "sensors"}
-    assert all(job.source for job in jobs)
-    pulses = next(job for job in jobs if "pulses" in job.setting)
-    assert [row.controller for row in robustness.run(pulses, options).rows] == ["ByHand"] * 6
+    options = robustness.Options(controller=(f"{tmp_path / 'mine.py'}:ByHand",), only=("LQR",), quick=True)
+    jobs = [job for job in robustness.jobs(options) if (job.contender, job.task) == ("ByHand", "balance")]
+    assert {job.part for job in jobs} == {"axes", "plants", "sensors"}
+    assert all(job.own for job in jobs)
+    pulses = robustness.run(next(job for job in jobs if job.axis == "pulses"))
+    assert [(row["level"], row["runs"]) for row in pulses.rows] == [(level, 2) for level in BY_NAME["pulses"].levels]
+    assert pulses.arrays["outcomes"].sum(axis=0).tolist() == [row["successes"] for row in pulses.rows]
 
 
-def test_those_that_take_long_meet_less_and_nmpc_nothing_unless_asked() -> None:
+def test_those_that_take_long_have_fewer_starts_and_nmpc_none_unless_asked() -> None:
     plain, whole = robustness.Options(), robustness.Options(all=True)
-    names = [entrant.name for entrant in plain.taking_part("swing-up")]
+    names = [contender.name for contender in plain.contenders("swing-up")]
     assert "NMPC" not in names
-    assert "NMPC" in [entrant.name for entrant in whole.taking_part("swing-up")]
-    assert "NMPC" in [entrant.name for entrant in robustness.Options(only=("NMPC",)).taking_part("balance")]
-    planner, lqr = plain.entrant("iLQR MPC"), plain.entrant("LQR")
+    assert "NMPC" in [contender.name for contender in whole.contenders("swing-up")]
+    assert "NMPC" in [contender.name for contender in robustness.Options(only=("NMPC",)).contenders("balance")]
+    planner, lqr = find("iLQR MPC"), find("LQR")
     assert (plain.starts_of(planner), plain.starts_of(lqr)) == (5, 100)
     assert (plain.plants_of(planner), plain.plants_of(lqr)) == (32, 256)
 
 
 @pytest.mark.parametrize(
-    ("told", "message"),
+    ("options", "message"),
     [
         ({"starts": 1}, "--starts must be at least 2; got 1."),
         ({"slow_starts": 0}, "--slow-starts must be at least 2; got 0."),
         ({"plants": 100}, "--plants must be a power of two, at least 16; got 100."),
     ],
 )
-def test_what_cannot_be_is_refused(told: dict[str, int], message: str) -> None:
-    with pytest.raises(ValueError, match=f"^{message}$"):
-        robustness.Options(**told)  # type: ignore[arg-type]
+def test_what_cannot_be_is_refused(options: dict[str, int], message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}$"):
+        robustness.Options(**options)  # type: ignore[arg-type]
 
 
 def test_the_study_of_lqr_has_more_runs_than_realaigyms() -> None:
-    options = robustness.Options(only=("LQR",))
-    axes = [case for case, _ in robustness.cases(options) if case.part == "axes" and case.task == "balance"]
+    jobs = robustness.jobs(robustness.Options(only=("LQR",)))
     levels = {axis.name: len(axis.levels) for axis in (NOMINAL, *AXES)}
-    assert sum(levels[case.axis] for case in axes) * options.starts > 722
-    assert _study.slug(robustness.jobs(options)[0]) == "LQR_+_balance_+_axes_+_nominal_+_--0"
+    assert sum(levels[job.axis] * job.starts for job in jobs if (job.part, job.task) == ("axes", "balance")) > 722
+    assert len(set(jobs)) == len(jobs)
+
+
+@pytest.mark.slow
+def test_a_quick_study_draws_and_tabulates_everything(tmp_path: Path) -> None:
+    _runner.main("studies.robustness", ["--quick", "--workers", "1", "--only", "LQR", "--out", str(tmp_path)])
+    for added in ("", "_balance", "_parameters", "_plants", "_sensors"):
+        assert (tmp_path / f"robustness{added}.png").stat().st_size > 10_000
+    assert (tmp_path / "tables.md").read_text().count("| LQR | balance |") == 3 + len(SENSORS)

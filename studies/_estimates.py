@@ -1,0 +1,421 @@
+"""Estimates with 95 % intervals, how they are written, and what yields one: shares, means, medians, crossings, ranks.
+
+Source of the coverage of each: the tests, on data of known probability.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+from scipy.special import logit
+
+from dpend.params import Array
+
+QUARTILES = (0.25, 0.5, 0.75)
+"""For ``np.quantile(curves, QUARTILES, axis=0)``, which :func:`studies._figures.band` draws."""
+
+Tried = tuple[float, float]
+"""The least and the greatest level tried: what lies beyond is written as more or less than these."""
+
+
+class Estimate(NamedTuple):
+    """A value with its 95 % interval, in the value's unit.
+
+    Attributes
+    ----------
+    value : float
+        NaN where there is nothing to take it of; of a crossing minus or plus infinite where it lies beyond the levels
+        tried.
+    low, high : float
+        The interval's ends, which may be infinite likewise; NaN where there is none.
+    """
+
+    value: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+
+    def written(self, form: str = "", tried: Tried | None = None) -> tuple[str, str]:
+        """Return the value in words, and its interval, which is empty where it would say no more than the value.
+
+        Parameters
+        ----------
+        form : str
+            As of :func:`number`.
+        tried : (float, float), optional
+            As of :func:`number`.
+
+        Returns
+        -------
+        value, interval : str
+            Such as ``"84.5"`` and ``"[82.1, 86.6]"``.
+        """
+        value, low, high = (number(each, form, tried) for each in self)
+        said = math.isnan(self.low) or value == low == high
+        return value, "" if said else f"[{low}, {high}]"
+
+    def __format__(self, form: str) -> str:
+        """Return value and interval in one, as in ``f"{share(3, 4):.1%}"``."""
+        return " ".join(self.written(form)).strip()
+
+
+def number(value: float, form: str = "", tried: Tried | None = None) -> str:
+    """Return a number in words: the one way in which figures stand in tables and legends.
+
+    Parameters
+    ----------
+    value : float
+        The number.
+    form : str
+        As of ``format``, but of percentages the sign is left out, since the heading says it.  Left out, three digits
+        that count, and thousands apart.
+    tried : (float, float), optional
+        The least and the greatest level tried, for values that are infinite.
+
+    Returns
+    -------
+    str
+        ``"–"`` where it is NaN, ``"> 0.6"`` or ``"< 0.05"`` where it lies beyond the levels tried.
+    """
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        if tried is None:
+            return "∞" if value > 0 else "−∞"
+        scale = 100 if form.endswith("%") else 1
+        return f"{'>' if value > 0 else '<'} {scale * tried[value > 0]:g}"
+    if form:
+        return format(value, form).removesuffix("%")
+    return f"{float(f'{value:.3g}'):,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+# -------------------------------------------------------------------------------------------------- shares and averages
+
+
+def share(successes: npt.ArrayLike, n: npt.ArrayLike) -> Estimate:
+    r"""Return :math:`s/n` with Wilson's score interval; NaN of no trials.
+
+    Parameters
+    ----------
+    successes, n : array_like
+        Successes, and trials: whole numbers, or several, which are summed.
+
+    Returns
+    -------
+    Estimate
+    """
+    done, tried = int(np.sum(successes)), int(np.sum(n))
+    if tried == 0:
+        return Estimate()
+    interval = stats.binomtest(done, tried).proportion_ci(method="wilson")
+    return Estimate(done / tried, float(interval.low), float(interval.high))
+
+
+def mean_share(shares: npt.ArrayLike, runs: npt.ArrayLike) -> Estimate:
+    r"""Return the mean of shares of success, each that of a unit of replication: a training, a start or a plant.
+
+    Parameters
+    ----------
+    shares : array_like (k,)
+        A share for each unit, within 0 and 1.
+    runs : array_like
+        Runs of all units together, or of each, which are summed.
+
+    Returns
+    -------
+    Estimate
+        :math:`\bar s \pm t_{0.975,\,k-1}\, \sigma / \sqrt{k}`, Student's interval over the units, cut off at 0 and 1,
+        or Wilson's of all runs taken together where that is wider, as when all units have the same share.  The
+        bootstrap is too narrow for ten trainings.
+    """
+    each, total = np.asarray(shares, dtype=np.float64), int(np.sum(runs))
+    mean = float(each.mean())
+    _, low, high = share(round(mean * total), total)
+    half = float(stats.t.ppf(0.975, len(each) - 1) * each.std(ddof=1) / np.sqrt(len(each))) if len(each) > 1 else 0.0
+    return Estimate(mean, min(low, mean, max(0.0, mean - half)), max(high, mean, min(1.0, mean + half)))
+
+
+def median(values: npt.ArrayLike) -> Estimate:
+    """Return the median with the interval between two of the values that holds the true one, however they are spread.
+
+    Parameters
+    ----------
+    values : array_like (n,)
+        One number a run or training; none for an estimate that is NaN.
+
+    Returns
+    -------
+    Estimate
+        How many values lie below the true median is binomial, so order statistics enclose it with at least 95 %; the
+        bootstrap of a median comes to the same and needs resamples for it.  Of fewer than six values, which cannot
+        enclose it so surely, the interval is from the least to the greatest: :math:`1 - 2^{1 - n}`.
+    """
+    each = np.asarray(values, dtype=np.float64)
+    if len(each) == 0:
+        return Estimate()
+    low, high = stats.quantile_test(each).confidence_interval(0.95) if len(each) > 5 else (each.min(), each.max())
+    return Estimate(float(np.median(each)), float(low), float(high))
+
+
+def worst_cases(
+    values: npt.ArrayLike, tail: float = 0.1, *, resamples: int = 1000, seed: int | Sequence[int] = 0
+) -> Estimate:
+    r"""Return the conditional value at risk: the mean of the least values.
+
+    Parameters
+    ----------
+    values : array_like (n,)
+        One number a case, such as the share of starts that a controller saves on one plant out of many.
+    tail : float
+        :math:`\alpha`, above 0, at most 1; where :math:`\alpha n` is no whole number, the last case counts in part.
+    resamples : int
+        Bootstrap samples.
+    seed : int or sequence of int
+        What they are drawn from.
+
+    Returns
+    -------
+    Estimate
+        The interval is the bootstrap's over cases, too narrow where fewer than some 25 are in the tail.
+
+    Raises
+    ------
+    ValueError
+        If the values are not a row of finite numbers, or the tail holds less than one of them.
+
+    Notes
+    -----
+    Source: R. T. Rockafellar and S. Uryasev, *Optimization of Conditional Value-at-Risk*, 2000.
+    """
+    cases = np.asarray(values, dtype=np.float64)
+    if cases.ndim != 1 or not np.isfinite(cases).all():
+        raise ValueError(f"Expected one finite number a case, shape (n,); got shape {cases.shape}.")
+    if not (tail <= 1 and tail * len(cases) >= 1):
+        raise ValueError(f"The worst {tail!r} of {len(cases)} cases is less than one case, or more than all.")
+    counted = np.clip(tail * len(cases) - np.arange(len(cases)), 0.0, 1.0)  # the last in part
+
+    def mean_of_worst(drawn: Array, axis: int = -1) -> Array:
+        return (np.sort(drawn, axis=axis) * counted).sum(axis=axis) / counted.sum()
+
+    found = float(mean_of_worst(cases))
+    if np.ptp(cases) == 0:
+        return Estimate(found, found, found)
+    interval = stats.bootstrap(
+        (cases,), mean_of_worst, n_resamples=resamples, method="percentile", rng=np.random.default_rng(seed)
+    ).confidence_interval
+    return Estimate(found, min(float(interval.low), found), max(float(interval.high), found))
+
+
+# ----------------------------------------------------------------------------------------------- where success falls
+
+
+def crossing(
+    levels: npt.ArrayLike, outcomes: npt.ArrayLike, share: float = 0.5, *, resamples: int = 1000, seed: int = 0
+) -> Estimate:
+    r"""Return the level at which success falls to a share, such as :math:`\lambda_{50}` or :math:`\lambda_{90}`.
+
+    The curve is the best that never rises (isotonic), logistic between levels, so that it is exact where success is a
+    logistic function of the level, and free to have a plateau where it is not.  The interval is the bootstrap's over
+    rows, its percentiles expanded for few rows as Student's distribution expands the normal's.  Rows may differ by
+    chance, or be the same starts at every level: their ties are kept, since a row is drawn whole.
+
+    Parameters
+    ----------
+    levels : array_like (L,)
+        Increasing.
+    outcomes : array_like (n, L)
+        A row for each unit of replication: a start's successes, or the shares of a trained controller.
+    share : float
+        Between 0 and 1.
+    resamples : int
+        Bootstrap samples.
+    seed : int
+        What they are drawn from.
+
+    Returns
+    -------
+    Estimate
+        Minus or plus infinite where it lies outside the levels.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit, the levels do not increase, or the share is not between 0 and 1.
+
+    Notes
+    -----
+    With starts as rows the interval covers as it should from some 200 on, with ten trainings as rows too.  What is
+    assumed between levels shows in :math:`\lambda_{90}` where success falls by more than a third from one to the next.
+
+    Source of the expansion: T. Hesterberg, *What Teachers Should Know About the Bootstrap*, 2015.
+    """
+    points = np.asarray(levels, dtype=np.float64)
+    rows = np.asarray(outcomes, dtype=np.float64)
+    if rows.ndim != 2 or points.shape != rows.shape[1:] or len(rows) < 2:
+        raise ValueError(
+            f"Expected levels (L,) and outcomes (n, L) with at least two rows; got {points.shape} and {rows.shape}."
+        )
+    if not (np.diff(points) > 0).all():
+        raise ValueError(f"The levels must increase; got {points.tolist()}.")
+    if not 0 < share < 1:
+        raise ValueError(f"share must lie between 0 and 1; got {share!r}.")
+    n = len(rows)
+    distinct, counts = np.unique(rows, axis=0, return_counts=True)  # few, however many starts there are
+    drawn = np.random.default_rng(seed).multinomial(n, counts / n, size=resamples) / n
+    found = float(_crossed(points, rows.mean(axis=0, keepdims=True), share, n)[0])
+    tail = stats.norm.cdf(stats.t.ppf(0.025, n - 1) * np.sqrt(n / (n - 1)))
+    low, high = np.quantile(_crossed(points, drawn @ distinct, share, n), [tail, 1 - tail], method="inverted_cdf")
+    return Estimate(found, min(float(low), found), max(float(high), found))
+
+
+def _crossed(levels: Array, curves: Array, share: float, n: int) -> Array:
+    """Return where curves, made to fall, cross a share; half a success and half a failure keep their logits finite."""
+    falling = falling_fit(curves)
+    below = falling < share - 1e-12  # a mean that should equal the share may miss it by rounding
+    after = np.clip(np.argmax(below, axis=1), 1, None)
+    if len(levels) == 1:
+        return np.where(below[:, 0], -np.inf, np.inf)
+    each = np.arange(len(curves))
+    above, under = (logit((n * falling[each, at] + 0.5) / (n + 1)) for at in (after - 1, after))
+    with np.errstate(invalid="ignore", divide="ignore"):  # where a curve does not cross
+        way = (above - logit((n * share + 0.5) / (n + 1))) / (above - under)
+        level = levels[after - 1] + way * (levels[after] - levels[after - 1])
+    return np.where(below[:, 0], -np.inf, np.where(below[:, -1], level, np.inf))
+
+
+def falling_fit(curves: Array) -> Array:
+    r"""Return the curves that never rise and are nearest in least squares, a row each.
+
+    It is :math:`\hat y_i = \min_{a \le i} \max_{b \ge i} \bar y_{a..b}`.
+
+    Parameters
+    ----------
+    curves : ndarray (m, L)
+        Curves.
+
+    Returns
+    -------
+    ndarray (m, L)
+
+    Notes
+    -----
+    Source: T. Robertson, F. T. Wright and R. L. Dykstra, *Order Restricted Statistical Inference*, 1988, section 1.4.
+    """
+    # scipy.optimize.isotonic_regression finds the same, but one curve a call: for the thousand short ones of a
+    # bootstrap, and the hundreds of crossings in a table, this is 24 times as fast.
+    m, L = curves.shape
+    sums = np.concatenate([np.zeros((m, 1)), np.cumsum(curves, axis=1)], axis=1)
+    fitted = np.full((m, L), np.inf)
+    for a in range(L):
+        means = (sums[:, a + 1 :] - sums[:, a, None]) / np.arange(1, L - a + 1)
+        greatest = np.maximum.accumulate(means[:, ::-1], axis=1)[:, ::-1]
+        np.minimum(fitted[:, a:], greatest, out=fitted[:, a:])
+    return fitted
+
+
+# ---------------------------------------------------------------------------------------------------------------- ranks
+
+Quotient = tuple[npt.ArrayLike, npt.ArrayLike]
+"""Two numbers a run; sum of the first by sum of the second is compared, and more is better."""
+
+
+class Ranking(NamedTuple):
+    """Ranks of ``k`` contenders.
+
+    Attributes
+    ----------
+    order : ndarray (k,)
+        The best first; equals in the order in which they came.
+    ranks : tuple of k Estimate
+        One more than the number of those that do better; equals share it.
+    first : ndarray (k,)
+        Share of the resamples in which none does better.
+    better : ndarray (k, k)
+        Share of the resamples in which the row's does better than the column's.
+    """
+
+    order: npt.NDArray[np.int64]
+    ranks: tuple[Estimate, ...]
+    first: Array
+    better: Array
+
+
+def ranking(criteria: Sequence[Sequence[Quotient]], *, resamples: int = 2000, seed: int = 0) -> Ranking:
+    r"""Return ranks by one criterion after the other, and how stable they are when the runs are resampled.
+
+    Of two, the one with the greater :math:`\sum_i a_i / \sum_i b_i` over the runs that both have does better; where
+    these are equal, the next criterion decides.  Run ``i`` is the same start for every contender, and is drawn for all
+    at once.  So those that have fewer runs are compared on these, whether they were hard or easy.
+
+    Parameters
+    ----------
+    criteria : sequence of sequence of Quotient
+        Of each that is ranked, its criteria, the most important first; arrays ``(n,)``, ``n`` may differ.
+    resamples : int
+        Bootstrap samples.
+    seed : int
+        What they are drawn from.
+
+    Returns
+    -------
+    Ranking
+
+    Raises
+    ------
+    ValueError
+        If there is no contender, or the arrays of one have different lengths.
+
+    Notes
+    -----
+    Where some have fewer runs, three may beat each other in a circle; then they share a rank.  The bootstrap cannot
+    know what no run has shown: two that never failed are equal in every resample.
+    """
+    lengths = np.array([len(np.asarray(own[0][0])) for own in criteria], dtype=np.int64)
+    if not len(lengths) or any(np.shape(each) != (n,) for own, n in zip(criteria, lengths, strict=True)
+                               for quotient in own for each in quotient):  # fmt: skip
+        raise ValueError("Expected, of at least one contender, criteria of two arrays (n,) each, all of the same n.")
+    k, n = len(criteria), int(lengths.max())
+    drawn = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), size=resamples)
+    weights = np.vstack([np.ones(n), drawn]).astype(np.float64)  # the first sample is what was seen
+    better = np.zeros((resamples + 1, k, k), dtype=np.bool_)
+    common = np.minimum(lengths[:, None], lengths)
+    for m in np.unique(common):
+        values = np.stack([_quotients(own, weights[:, :m]) if length >= m else
+                           np.full((resamples + 1, len(own)), np.nan)
+                           for own, length in zip(criteria, lengths, strict=True)], axis=1)  # fmt: skip
+        better |= _precedes(values) & (common == m)
+    ranks = 1 + better.sum(axis=1)  # those that do better than the column's
+    seen, resampled = ranks[0], ranks[1:]
+    low, high = np.quantile(resampled, [0.025, 0.975], axis=0, method="inverted_cdf")
+    return Ranking(
+        order=np.argsort(seen, kind="stable"),
+        ranks=tuple(Estimate(*map(int, each)) for each in zip(
+            seen, np.minimum(low, seen), np.maximum(high, seen), strict=True)),
+        first=(resampled == 1).mean(axis=0),
+        better=better[1:].mean(axis=0),
+    )  # fmt: skip
+
+
+def _quotients(criteria: Sequence[Quotient], weights: Array) -> Array:
+    """Return the quotients ``(samples, criteria)``; minus infinite where there is nothing to divide by."""
+    m = weights.shape[1]
+    values = np.empty((len(weights), len(criteria)))
+    for column, quotient in enumerate(criteria):
+        above, below = (weights @ np.asarray(each, dtype=np.float64)[:m] for each in quotient)
+        values[:, column] = np.divide(above, below, out=np.full(len(weights), -np.inf), where=below > 0)
+    return np.round(values, 12)  # so that the order of a sum makes no difference
+
+
+def _precedes(values: Array) -> npt.NDArray[np.bool_]:
+    """Return which of values ``(samples, k, criteria)`` come before which, ``(samples, k, k)``."""
+    better = np.zeros((*values.shape[:2], values.shape[1]), dtype=np.bool_)
+    equal = np.ones_like(better)
+    for criterion in np.moveaxis(values, 2, 0):
+        mine, other = criterion[:, :, None], criterion[:, None]
+        better |= equal & (mine > other)
+        equal &= mine == other
+    return better

@@ -1,0 +1,364 @@
+"""The field of the comparisons: every controller and learner, its prior knowledge and its cost; and users' own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import Enum
+from functools import cache
+from itertools import cycle
+from typing import ClassVar, Literal, NamedTuple
+
+import dpend
+from controllers import (
+    ILQRMPC,
+    LQR,
+    NMPC,
+    SDRE,
+    TVLQR,
+    BangBang,
+    EnergyPump,
+    EnergySwingUp,
+    SwitchingController,
+    shipped,
+)
+from dpend import Balance, Controller, Rig, SwingUp
+from dpend.suggest import suggestion
+from rl import LSPI, GaussianQAC, Learner, LinearQLearning, load_policy
+
+from . import _runner
+from ._figures import Style
+from ._own import Own, load_own
+
+TaskName = Literal["balance", "swing-up"]
+
+RIG = dpend.rig("gustafsson2016")
+"""The plant of the comparisons, as every contender believes it to be."""
+
+
+class Cost(Enum):
+    """How long a contender takes; the value is the share of the runs on which it is evaluated, the first of all."""
+
+    CHEAP = 1.0
+    MODERATE = 0.2
+    EXPENSIVE = 0.05
+
+    def runs(self, n: int) -> int:
+        """Return on how many of ``n`` runs it is evaluated; at least twenty, if there are so many."""
+        return min(n, max(round(self.value * n), 20))
+
+
+class PriorKnowledge(NamedTuple):
+    """What a contender knew before it began, which comparisons of success leave out."""
+
+    model: str
+    """Whether it was given the equations and their parameters."""
+    reward: str
+    """What it was to make large or small."""
+    starts: str
+    """Where it could begin while it learned."""
+    state: str = "all of it, exact"
+    """What it sees when it acts."""
+
+
+_DESIGNED = PriorKnowledge("equations and parameters", "quadratic cost", "-")
+_ENERGY = PriorKnowledge("equations and parameters", "energy, then quadratic cost", "-")
+_SHAPED = PriorKnowledge("none", "shaped: height, low rates, upright", "anywhere, near upright too")
+YOURS = PriorKnowledge("yours to say", "yours to say", "yours to say")
+"""What only its author knows of a user's own controller."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Contender:
+    """One that takes part.
+
+    Attributes
+    ----------
+    name : str
+        How tables call it.
+    make : callable
+        Returns the controller for what is believed of the rig, and for a task.
+    tasks : tuple of str
+        What it can do at all: "balance", "swing-up".
+    prior_knowledge : PriorKnowledge
+        What it knew.
+    style : Style
+        That of its curves.
+    cost : Cost
+        How long it takes.
+    learner : callable, optional
+        Returns a learner for a rig that is trained in seconds, so that a study may train it itself.
+    policy : str
+        Name of the policy that is shipped, of a learner.
+    trainings : str
+        Name under which the trainings of one that takes minutes are kept in ``docs/results/deep``.
+    own : Own, optional
+        Of a user's own controller: where it is, and its fingerprint.
+    """
+
+    name: str
+    make: Callable[[Rig, Balance | SwingUp], Controller]
+    tasks: tuple[TaskName, ...] = ("balance",)
+    prior_knowledge: PriorKnowledge = _DESIGNED
+    style: Style = ("#7F3C8D", "h", "-")
+    cost: Cost = Cost.CHEAP
+    learner: Callable[[Rig], Learner] | None = None
+    policy: str = ""
+    trainings: str = ""
+    own: Own | None = None
+
+
+def _learned(name: str) -> Callable[[Rig, Balance | SwingUp], Controller]:
+    def make(rig: Rig, task: Balance | SwingUp) -> Controller:
+        policy = load_policy(name)
+        assert isinstance(policy, Controller)
+        return policy
+
+    return make
+
+
+def _stiff(rig: Rig) -> LQR:
+    return LQR(rig, Q=(1, 10, 10, 1, 1, 1), R=0.1)
+
+
+def _planner(rig: Rig, task: Balance | SwingUp) -> Controller:
+    return ILQRMPC(rig, upright_only=True) if isinstance(task, Balance) else ILQRMPC(rig, target=task.target)
+
+
+def _nonlinear(rig: Rig, task: Balance | SwingUp) -> Controller:
+    return NMPC(rig) if isinstance(task, Balance) else NMPC(rig, target=task.target)
+
+
+def _follower(rig: Rig, task: Balance | SwingUp) -> Controller:
+    """Follow the trajectory that comes with the package, or one of its own."""
+    assert isinstance(task, SwingUp)
+    start = "hanging" if task.start == "down-down" else task.start
+    return TVLQR(rig, shipped(rig, start, task.target))
+
+
+def _planned_last_swing(rig: Rig, task: Balance | SwingUp) -> Controller:
+    """Pump energy, plan the last swing with a short horizon, and balance."""
+    return SwitchingController(
+        rig, SwitchingController(rig, EnergyPump(rig), ILQRMPC(rig, horizon=0.8, starts=4)), LQR(rig)
+    )
+
+
+BOTH: tuple[TaskName, ...] = ("balance", "swing-up")
+
+# Okabe and Ito's colours; markers and line styles tell the curves apart without them.
+CONTENDERS: tuple[Contender, ...] = (
+    Contender(name="LQR", make=lambda rig, task: LQR(rig), style=("#0072B2", "o", "-")),
+    Contender(name="stiff LQR", make=lambda rig, task: _stiff(rig), style=("#56B4E9", "<", "--")),
+    Contender(
+        name="sign of LQR",
+        make=lambda rig, task: BangBang(LQR(rig), float(rig.force_limit)),
+        style=("#E69F00", "s", "--"),
+    ),
+    Contender(
+        name="sign of stiff LQR",
+        make=lambda rig, task: BangBang(_stiff(rig), float(rig.force_limit)),
+        style=("#D55E00", "^", "--"),
+    ),
+    Contender(name="SDRE", make=lambda rig, task: SDRE(rig), style=("#009E73", ">", "-."), cost=Cost.MODERATE),
+    Contender(name="iLQR MPC", make=_planner, tasks=BOTH, style=("#000000", "X", "-"), cost=Cost.MODERATE),
+    Contender(name="NMPC", make=_nonlinear, tasks=BOTH, style=("#777777", "P", "-"), cost=Cost.EXPENSIVE),
+    Contender(
+        name="TVLQR",
+        make=_follower,
+        tasks=("swing-up",),
+        prior_knowledge=PriorKnowledge("equations and parameters", "effort of a trajectory, then quadratic cost", "-"),
+        style=("#009E73", "^", "-"),
+    ),
+    Contender(
+        name="passivity, LQR",
+        make=lambda rig, task: SwitchingController(rig, EnergySwingUp(rig)),
+        tasks=("swing-up",),
+        prior_knowledge=_ENERGY,
+        style=("#8C6D1F", "v", ":"),
+        cost=Cost.MODERATE,
+    ),
+    Contender(
+        name="pumping, LQR",
+        make=lambda rig, task: SwitchingController(rig, EnergyPump(rig)),
+        tasks=("swing-up",),
+        prior_knowledge=_ENERGY,
+        style=("#E69F00", "v", "-."),
+        cost=Cost.MODERATE,
+    ),
+    Contender(
+        name="pumping, iLQR, LQR",
+        make=_planned_last_swing,
+        tasks=("swing-up",),
+        prior_knowledge=_ENERGY,
+        style=("#D55E00", "s", "--"),
+        cost=Cost.MODERATE,
+    ),
+    Contender(
+        name="Q tuned",
+        make=_learned("q-tuned"),
+        prior_knowledge=PriorKnowledge("none", "report's cost, weights tuned", "λ = .08 about upright, tests to .3"),
+        style=("#009E73", "D", "-."),
+        learner=lambda rig: LinearQLearning.tuned(rig),
+        policy="q-tuned",
+    ),
+    Contender(
+        name="QAC tuned",
+        make=_learned("qac-tuned"),
+        prior_knowledge=PriorKnowledge("none", "quadratic cost, angles costly at first", "λ = .1 about upright"),
+        style=("#CC79A7", "*", (0, (6, 1, 1, 1))),
+        learner=lambda rig: GaussianQAC.tuned(rig),
+        policy="qac-tuned",
+    ),
+    Contender(
+        name="LSPI",
+        make=_learned("lspi"),
+        prior_knowledge=PriorKnowledge("none", "quadratic cost", "λ = .02 about upright"),
+        style=("#56B4E9", "p", "-"),
+        learner=lambda rig: LSPI(rig),
+        policy="lspi",
+    ),
+    Contender(
+        name="PPO balance",
+        make=_learned("ppo-balance"),
+        prior_knowledge=PriorKnowledge("none", "shaped: height, low rates, upright", "λ = .4 about upright"),
+        style=("#0072B2", "d", ":"),
+        policy="ppo-balance", trainings="ppo-balance",
+    ),
+    Contender(
+        name="DDPG balance",
+        make=_learned("ddpg-balance"),
+        prior_knowledge=PriorKnowledge("none", "shaped: height, low rates, upright", "λ = .4 about upright"),
+        style=("#E69F00", "d", ":"),
+        policy="ddpg-balance", trainings="ddpg-balance",
+    ),
+    Contender(
+        name="PPO swing-up", make=_learned("ppo-swing-up"), tasks=BOTH, prior_knowledge=_SHAPED,
+        style=("#CC79A7", "o", "-"), policy="ppo-swing-up", trainings="ppo-swing-up",
+    ),
+    Contender(
+        name="PPO swing-up, smooth", make=_learned("ppo-swing-up-smooth"), tasks=BOTH,
+        prior_knowledge=PriorKnowledge("none", "shaped, and changes of force", "anywhere, near upright too"),
+        style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth", trainings="ppo-swing-up-smooth",
+    ),
+    Contender(
+        name="DDPG swing-up", make=_learned("ddpg-swing-up"), tasks=BOTH, prior_knowledge=_SHAPED,
+        style=("#D55E00", "D", ":"), policy="ddpg-swing-up", trainings="ddpg-swing-up",
+    ),
+)  # fmt: skip
+"""All that come with the package, as designed with their defaults or as shipped."""
+
+
+_OWN: tuple[Style, ...] = (
+    ("#7F3C8D", "h", "-"), ("#7F3C8D", "8", "--"), ("#B33951", "h", "-."), ("#B33951", "8", ":"),
+)  # fmt: skip
+
+
+def styles(names: Iterable[str], known: Iterable[Contender] = CONTENDERS) -> dict[str, Style]:
+    """Return the style of each contender, in the order of those known; users' own come last.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Those in a table, in any order.
+    known : iterable of Contender
+        Those that have a style; the others get one in turn.
+    """
+    own_styles = cycle(_OWN)
+    style = {contender.name: contender.style for contender in known}
+    present = dict.fromkeys(names)
+    chosen = {name: style[name] for name in style if name in present}
+    return chosen | {name: next(own_styles) for name in present if name not in style}
+
+
+# ------------------------------------------------------------------------------------------------ who takes part
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(_runner.Options):
+    """Options of a comparison's command line."""
+
+    known: ClassVar[tuple[Contender, ...]] = CONTENDERS
+    """Those that can take part beside the user's own; a study that has more adds them."""
+
+    controller: tuple[str, ...] = ()
+    """Your own controllers: path.py:factory or module:factory; the factory takes the rig, or nothing."""
+    only: tuple[str, ...] = ()
+    """Names of the contenders that take part beside your own; left out, all."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names = [contender.name for contender in (*self.known, *map(own, self.controller))]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"--controller: two contenders are called {name!r}; rename the factory.")
+        for name in self.only:
+            find(name, known=(*self.known, *map(own, self.controller)))
+
+    def contenders(self, task: TaskName) -> list[Contender]:
+        """Return those that do a task and were not left out, the user's own last.
+
+        Parameters
+        ----------
+        task : {"balance", "swing-up"}
+            The task.
+        """
+        chosen = [contender for contender in self.known if not self.only or contender.name in self.only]
+        return [contender for contender in (*chosen, *map(own, self.controller)) if task in contender.tasks]
+
+
+def find(name: str, own_controller: Own | None = None, known: Iterable[Contender] = CONTENDERS) -> Contender:
+    """Return the contender that a job names.
+
+    Parameters
+    ----------
+    name : str
+        Its name.
+    own_controller : Own, optional
+        The ``own`` of a user's own controller.
+    known : iterable of Contender
+        Those that can take part beside it.
+
+    Raises
+    ------
+    ValueError
+        If no contender has this name, or a user's own controller is not what it was when the job was listed.
+    """
+    if own_controller is not None:
+        found = own(own_controller.spec)
+        if found.own is None or found.own.code != own_controller.code:
+            raise ValueError(f"--controller {own_controller.spec} changed while the study ran; start it again.")
+        return found
+    by_name = {contender.name: contender for contender in known}
+    if name not in by_name:
+        raise ValueError(f"No contender is called {name!r}.{suggestion(name, by_name)}")
+    return by_name[name]
+
+
+@cache
+def own(spec: str) -> Contender:
+    """Return a user's own controller, loaded once, as a contender; see :func:`studies._own.load_own`.
+
+    Parameters
+    ----------
+    spec : str
+        ``path.py:factory`` or ``module:factory``.
+
+    Returns
+    -------
+    Contender
+        Called as the factory is.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file or name, it raises, or what it returns is no controller.
+    """
+    loaded = load_own(spec, RIG)
+    return Contender(
+        name=loaded.name,
+        make=lambda rig, task: loaded.make(rig),
+        tasks=BOTH,
+        prior_knowledge=YOURS,
+        cost=Cost.CHEAP if loaded.batched else Cost.MODERATE,
+        own=loaded.own,
+    )

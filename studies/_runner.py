@@ -1,0 +1,465 @@
+"""The one runner of all studies: jobs to results, results to a table on disk, the table to a report.
+
+A study is a module with a docstring that says question, method and finding, and with ``MINUTES``, ``Options``, ``Job``,
+``jobs``, ``run`` and ``report`` (see :class:`Study`), and ``films`` where its options have such a flag.  Each finished
+job is a file of its own, so that a study that was stopped in any way goes on where it was, and no row is lost or
+doubled.  That file is named after a hash of everything the result depends on: the job, the code that ``run`` reaches
+with the data shipped beside it, and the versions of the libraries.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import inspect
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, as_completed
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from enum import Enum
+from functools import cache, partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, Protocol, cast
+
+import pandas as pd
+import tyro
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+import dpend
+from dpend import Rig, archive
+from dpend.provenance import versions
+from dpend.workers import interruptible, pool
+
+from ._closure import kept_folder, kept_table, source_hash
+from ._figures import look
+from ._table import AnyArray, Table, load, read_rows, save, where
+from ._tables import Sheet, document, terminal
+
+__all__ = [
+    "OnRig", "Options", "Plant", "Report", "Result", "Study", "Table", "kept_table", "main", "read_rows", "run_study",
+    "studies", "where",
+]  # fmt: skip
+
+QUICK = "quick run: too few runs to mean much"
+"""What stands on everything that a quick run makes."""
+DEFAULT_RIG = "gustafsson2016"
+"""The rig of the comparisons, for which policies and tables are shipped."""
+_JOB = "dpend study job 1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of every study's command line."""
+
+    out: Path | None = None
+    """Folder for table, figures and unfinished work; left out, results/ and the study's name (and -quick)."""
+    seed: int = 0
+    """What all randomness is drawn from."""
+    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    """Processes that share the work."""
+    quick: bool = False
+    """A small version that ends in seconds and shows that everything works; its figures mean little."""
+    format: Literal["png", "pdf", "svg"] = "png"
+    """File format of the figures."""
+    fresh: bool = False
+    """Compute every job, also those whose results come with the project, in docs/results."""
+
+    def __post_init__(self) -> None:
+        self.check_least(1, "workers")
+        self.check_least(0, "seed")
+
+    def check_least(self, least: int, *names: str) -> None:
+        """Refuse numbers that are too small.
+
+        Raises
+        ------
+        ValueError
+            If an option of one of these names is less.
+        """
+        for name in names:
+            if getattr(self, name) < least:
+                raise ValueError(f"--{name.replace('_', '-')} must be at least {least}; got {getattr(self, name)}.")
+
+
+class Plant(NamedTuple):
+    """A rig as a job names it: a column of the table by its name, and in the job's key with every number."""
+
+    name: str
+    """That of ``--rig``, and what ``--set`` changed."""
+    definition: str
+    """JSON of all its fields."""
+
+    @property
+    def rig(self) -> Rig:
+        """The rig itself."""
+        return _rig(self.definition)
+
+
+@cache
+def _rig(definition: str) -> Rig:
+    return Rig.from_dict(json.loads(definition))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnRig(Options):
+    """Options of a study that may be done on any rig: ``options.plant`` is what its jobs hold."""
+
+    rig: str = DEFAULT_RIG
+    """The rig: a preset's name, or a TOML file."""
+    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Changes of it, such as mass1=.6; repeatable."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.plant
+
+    @property
+    def plant(self) -> Plant:
+        """The rig with its changes, as a job holds it.
+
+        Raises
+        ------
+        ValueError
+            If there is no such rig, or a change is none.
+        """
+        changes: dict[str, float] = {}
+        for change in self.set:
+            name, _, value = change.partition("=")
+            try:
+                changes[name] = int(value) if value.isdigit() else float(value)  # delays are whole numbers
+            except ValueError:
+                raise ValueError(f"--set must be name=number, such as mass1=.6; got {change!r}.") from None
+        try:
+            rig = dpend.rig(self.rig).replace(**cast(Any, changes))
+        except (OSError, TypeError) as error:
+            raise ValueError(f"--rig {self.rig}: {error}") from error
+        return Plant(", ".join([self.rig, *self.set]), json.dumps(rig.to_dict()))
+
+
+class Result(NamedTuple):
+    """What a job returns: rows of the table, at least one, as dictionaries or dataclasses; and arrays by name."""
+
+    rows: Sequence[Any]
+    arrays: Mapping[str, AnyArray] = MappingProxyType({})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """What is drawn and written from a table.
+
+    Attributes
+    ----------
+    figures : Figure or mapping of str to Figure
+        One figure, or several by what is added to the study's name.
+    tables : sequence of Sheet
+        What the terminal shows, as far as there is room, and ``tables.md`` in full.
+    pages : mapping of str to str
+        Texts by their file names.
+    """
+
+    figures: Figure | Mapping[str, Figure]
+    tables: Sequence[Sheet]
+    pages: Mapping[str, str] = field(default_factory=dict)
+
+
+class Study(Protocol):
+    """What the module of a study holds."""
+
+    MINUTES: float
+    """How long the full study takes on two processors."""
+    Options: type[Options]
+    """The options, a subclass of :class:`Options`."""
+    Job: type[Any]
+    """A frozen dataclass of plain values: all that the result of one unit of work depends on besides the code."""
+
+    def jobs(self, options: Any, /) -> Sequence[Any]:
+        """List the work, what takes longest first."""
+        ...
+
+    def run(self, job: Any, /) -> Result:
+        """Do one job; the same job gives the same result."""
+        ...
+
+    def report(self, table: Table, /) -> Report:
+        """Draw figures, tables and pages from the saved table alone."""
+        ...
+
+
+def main(name: str, arguments: Sequence[str] | None = None) -> Table:
+    """Run a study from its command line.
+
+    Parameters
+    ----------
+    name : str
+        The module's name, such as ``"studies.lambda_sweep"``.
+    arguments : sequence of str, optional
+        The command line; left out, the program's own, and all work is done in processes of its own, so that Ctrl-C
+        finds this one free.
+    """
+    study = cast(Study, importlib.import_module(name))
+    console = Console(stderr=True, highlight=False, emoji=False)
+    try:
+        options = tyro.cli(study.Options, args=arguments, description=inspect.getdoc(study), prog=f"python -m {name}")
+        with interruptible():
+            if arguments is not None and options.workers == 1:
+                return run_study(name, options)
+            with pool(options.workers) as executor:
+                return run_study(name, options, executor)
+    except OSError as error:
+        reason = error if error.filename else error.strerror or error
+        console.print(f"[bold red]Error:[/] {escape(str(reason))}. Finished jobs are kept.", soft_wrap=True)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        console.print("\nStopped. Finished jobs are kept: the same command goes on from here.")
+        if arguments is None:
+            os._exit(130)  # at once: what Python does at its end may take a second
+        raise SystemExit(130) from None
+
+
+def run_study(name: str, options: Options, executor: Executor | None = None) -> Table:
+    """Run a study, or what is left of it; write ``rows.csv``, ``arrays.npz``, ``meta.json``, figures and pages.
+
+    Parameters
+    ----------
+    name : str
+        The module's name.
+    options : Options
+        Its options.
+    executor : Executor, optional
+        What does the jobs, such as a pool of processes or the client of a cluster; left out, this process does them
+        one after the other, or as many processes as ``options.workers`` says.
+
+    Raises
+    ------
+    OSError
+        If something cannot be written; before anything runs, if the folder cannot be.
+    RuntimeError
+        If processes cannot be started from where this is called.
+    """
+    if executor is None and options.workers > 1:
+        with pool(options.workers) as processes:
+            return run_study(name, options, processes)
+    began = time.perf_counter()
+    study = cast(Study, importlib.import_module(name))
+    short = name.removeprefix("studies.")
+    out = _writable(options.out or Path("results") / (f"{short}-quick" if options.quick else short))
+    jobs = study.jobs(options)
+    keys = {job: key(name, job) for job in jobs}
+    if len(keys) < len(jobs):
+        raise ValueError(f"{name}: two of its jobs are the same.")
+    files = {job: out / "jobs" / f"{digits}.npz" for job, digits in keys.items()}
+    done = {job: work for job, file in files.items() if (work := _finished(file))}
+    kept = {} if options.fresh else _kept(short)
+    shipped = {job: kept[digits] for job, digits in keys.items() if job not in done and digits in kept}
+    if shipped:
+        print(f"{len(shipped)} of {len(keys)} jobs come from {kept_folder(short)}; --fresh computes them here.")
+    done |= shipped
+    earlier = len(done)
+    done |= _do(name, {job: file for job, file in files.items() if job not in done}, len(files), executor)
+
+    works = [done[job] for job in keys]
+    rows = [
+        {"job": number, **plain_fields(job), **row}
+        for number, (job, work) in enumerate(zip(keys, works, strict=True))
+        for row in work.record["rows"]
+    ]
+    by_job = {number: work.arrays for number, work in enumerate(works) if work.arrays}
+    meta = {
+        "study": name,
+        "options": asdict(options) | {"out": None},
+        "jobs": len(keys),
+        "jobs_done_earlier": earlier,
+        "source": source_hash(name),
+        "versions": versions(),
+        "job_seconds": sum(work.record["seconds"] for work in works),
+        "wall_seconds": time.perf_counter() - began,
+        "row_columns": list(works[0].record["rows"][0]),
+        "keys": {digits: work.record["seconds"] for digits, work in zip(keys.values(), works, strict=True)},
+    }
+    save(Table(pd.DataFrame(rows), options.quick, by_job), out, meta)
+    table = load(out)
+    _publish(study, table, options, out, short)
+    return table
+
+
+def _publish(study: Study, table: Table, options: Options, out: Path, short: str) -> None:
+    """Draw and write a table's report, and show what belongs on the terminal."""
+    with look():
+        report = study.report(table)
+        several = report.figures if isinstance(report.figures, Mapping) else {"": report.figures}
+        for added, figure in several.items():
+            if table.quick:
+                _mark(figure)
+            _write(out / f"{short}{added}.{options.format}", figure.savefig)
+    tables = document(f"{short}: all tables", report.tables, f"A {QUICK}." if table.quick else "")
+    for page, text in {"tables.md": tables, **report.pages}.items():
+        _write(out / page, partial(Path.write_text, data=text, encoding="utf-8"))
+    if getattr(options, "films", False):
+        for film, write in cast(Any, study).films(table).items():
+            _write(out / film, write)
+    console = Console(highlight=False, emoji=False)
+    for each in report.tables:
+        console.print(terminal(each, console.width), "")
+    if table.quick:
+        console.print(f"[bold]{QUICK.capitalize()}.[/]")
+    console.print(f"Figures, table and settings are in {escape(str(out))}/.", soft_wrap=True)
+
+
+def _mark(figure: Figure) -> None:
+    """Write below a figure that it comes from a quick run."""
+    room = 0.16 / figure.get_figheight()
+    if isinstance(engine := figure.get_layout_engine(), ConstrainedLayoutEngine):
+        engine.set(rect=(0, room, 1, 1 - room))
+    figure.text(0.995, 0.2 * room, QUICK, ha="right", va="bottom", fontsize=7, color="#B00020")
+
+
+def _write(path: Path, write: Callable[[Path], object]) -> None:
+    with archive.atomic(path) as part:
+        write(part)
+
+
+# --------------------------------------------------------------------------------------------------------------- jobs
+
+
+def key(name: str, job: Any) -> str:
+    """Return a hash of everything a job's result depends on.
+
+    Parameters
+    ----------
+    name : str
+        The study's module.
+    job : dataclass
+        The job.
+
+    Returns
+    -------
+    str
+        Twenty hexadecimal digits.
+
+    Raises
+    ------
+    TypeError
+        If the job holds something else than plain values.
+    """
+    libraries = {library: version for library, version in versions().items() if library != "matplotlib"}
+    text = json.dumps([source_hash(name), libraries, _plain(job)], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it, types of dataclasses named."""
+    if value is None or isinstance(value, str | bool | int | float):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        return [type(value).__name__, {each.name: _plain(getattr(value, each.name)) for each in fields(value)}]
+    if isinstance(value, Enum):
+        return [type(value).__name__, value.name]
+    if isinstance(value, tuple):
+        return [_plain(each) for each in value]
+    raise TypeError(
+        "A job is a frozen dataclass of numbers, words, None, enums, tuples and such dataclasses; "
+        f"got {type(value).__name__} {value!r}."
+    )
+
+
+def plain_fields(job: Any) -> dict[str, Any]:
+    """Return the fields of a job that become columns of the table: numbers, words, truth values, a plant's name."""
+    values = {each.name: getattr(job, each.name) for each in fields(job)}
+    named = {name: value.name if isinstance(value, Plant) else value for name, value in values.items()}
+    return {name: value for name, value in named.items() if isinstance(value, str | bool | int | float)}
+
+
+class _Work(NamedTuple):
+    """What is kept of a finished job: its rows and the seconds it took, and its arrays."""
+
+    record: dict[str, Any]
+    arrays: dict[str, AnyArray]
+
+
+def _finished(file: Path) -> _Work | None:
+    """Return a job that was finished earlier; none where there is no file or a damaged one."""
+    try:
+        return _Work(*archive.read(file, _JOB))
+    except (FileNotFoundError, ValueError):
+        return None
+
+
+def _kept(short: str) -> dict[str, _Work]:
+    """Return the jobs of the table that comes with the project, by key."""
+    folder = kept_folder(short)
+    meta = json.loads((folder / "meta.json").read_text(encoding="utf-8")) if folder else {}
+    if folder is None or "keys" not in meta:
+        return {}
+    table = load(folder)
+    columns: list[str] = meta["row_columns"]
+    rows: dict[int, list[dict[str, Any]]] = {}
+    for line in table.lines():
+        rows.setdefault(line.job, []).append({column: getattr(line, column) for column in columns})
+    return {
+        digits: _Work({"rows": rows[number], "seconds": seconds}, dict(table.by_job.get(number, {})))
+        for number, (digits, seconds) in enumerate(meta["keys"].items())
+    }
+
+
+def _do(name: str, work: Mapping[Any, Path], total: int, executor: Executor | None) -> dict[Any, _Work]:
+    """Do jobs, here or by an executor, and keep each when it is done, with a progress bar."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    done: dict[Any, _Work] = {}
+    with Progress(*columns, console=Console(stderr=True)) as progress:
+        bar = progress.add_task(name, total=total, completed=total - len(work))
+        for job, each in _done(name, work, executor):
+            archive.write(work[job], _JOB, each.record, each.arrays)
+            done[job] = each
+            progress.advance(bar)
+    return done
+
+
+def _done(name: str, work: Mapping[Any, Path], executor: Executor | None) -> Iterator[tuple[Any, _Work]]:
+    """Return jobs with what is to be kept of them, in the order in which they end."""
+    if executor is None:
+        yield from ((job, _do_one(name, job)) for job in work)
+        return
+    waiting = {executor.submit(_do_one, name, job): job for job in work}
+    for future in as_completed(waiting):
+        yield waiting[future], future.result()
+
+
+def _do_one(name: str, job: Any) -> _Work:
+    """Do a job."""
+    began = time.perf_counter()
+    result = cast(Study, importlib.import_module(name)).run(job)
+    rows = [row if isinstance(row, dict) else asdict(row) for row in result.rows]
+    names = {tuple(row) for row in rows}
+    if len(names) != 1:
+        raise ValueError(f"{name}: a job returns rows, at least one, all with the same fields; got {sorted(names)}.")
+    if twice := rows[0].keys() & {"job", *plain_fields(job)}:
+        raise ValueError(f"{name}: {', '.join(sorted(twice))} is a field of the job and of the row; one is enough.")
+    return _Work({"rows": rows, "seconds": time.perf_counter() - began}, dict(result.arrays))
+
+
+def _writable(out: Path) -> Path:
+    """Make the folder and show that files can be written there."""
+    try:
+        (out / "jobs").mkdir(parents=True, exist_ok=True)
+        probe = out / "jobs" / f".probe-{os.getpid()}"
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OSError(
+            f"Cannot write to --out {out} ({error.strerror}); choose a folder that you may write to"
+        ) from error
+    return out
+
+
+def studies() -> Iterator[str]:
+    """Return the names of the modules in this folder that are studies."""
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        if not file.stem.startswith("_"):
+            yield f"studies.{file.stem}"

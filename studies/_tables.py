@@ -1,0 +1,388 @@
+"""One table model for people: in a terminal, in Markdown, and on a page of its own that sorts."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from numbers import Integral
+from typing import Any
+
+import pandas as pd
+from rich.box import SIMPLE_HEAD
+from rich.console import Console, ConsoleOptions, Group, RenderResult
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+from ._estimates import Estimate, Tried
+
+_FEW = 6  # columns in a terminal, at most
+_NAME = 20  # letters of a column of words there, before they wrap
+_AIR = 2  # letters between columns there
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column.
+
+    Attributes
+    ----------
+    heading : str
+        What stands above it, with its unit.
+    meaning : str
+        What it is, in a sentence.
+    group : str
+        What columns side by side belong to.
+    words : bool
+        Whether it holds words, not numbers.
+    brief : bool
+        Whether it is among those shown in a terminal, where there is no room for all.
+    """
+
+    heading: str
+    meaning: str = ""
+    group: str = ""
+    words: bool = False
+    brief: bool = True
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell.
+
+    Attributes
+    ----------
+    text : str
+        What stands in it.
+    under : str
+        What stands smaller beside it, such as an interval.
+    key : float, optional
+        What it is sorted by, infinite where it lies beyond all; left out, its words.
+    share : float, optional
+        What a bar in it shows, 0 to 1.
+    """
+
+    text: str = "–"
+    under: str = ""
+    key: float | None = None
+    share: float | None = None
+
+
+Value = Cell | Estimate | float | int | str | None
+"""What may be written in a table; NaN and None are a dash."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table; printed on a rich console, it is that of :func:`terminal`.
+
+    Attributes
+    ----------
+    title : str
+        What stands above it.
+    columns : sequence of Column
+        Its columns; the first names the line.
+    lines : sequence of sequence of Cell
+        Its lines, a cell for each column.
+    note : str
+        What stands below it.
+    """
+
+    title: str
+    columns: Sequence[Column]
+    lines: Sequence[Sequence[Cell]]
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        for line in self.lines:
+            if len(line) != len(self.columns):
+                raise ValueError(f"Expected a cell for each of {len(self.columns)} columns; got {len(line)}: {line}.")
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        yield terminal(self, options.max_width)
+
+
+def cell(value: Value, form: str = "", *, tried: Tried | None = None, bar: bool = False) -> Cell:
+    """Return the cell of a value, with its interval below it where it has one, sorted by the value.
+
+    Parameters
+    ----------
+    value : Cell, Estimate, number, str or None
+        The value.
+    form : str
+        As of :func:`studies._estimates.number`; whole numbers are counts, which are written whole.
+    tried : (float, float), optional
+        As of :func:`studies._estimates.number`.
+    bar : bool
+        Whether a bar shows it, which must be a share.
+
+    Returns
+    -------
+    Cell
+    """
+    if isinstance(value, Cell):
+        return value
+    if value is None or isinstance(value, str):
+        return Cell(value or "–")
+    if isinstance(value, Integral):  # a count
+        return Cell(f"{value:,}", key=float(value))
+    estimate = value if isinstance(value, Estimate) else Estimate(float(value))
+    text, under = estimate.written(form, tried)
+    known = not math.isnan(estimate.value)
+    return Cell(text, under, float(estimate.value) if known else None, float(estimate.value) if bar and known else None)
+
+
+def sheet(
+    title: str,
+    lines: pd.DataFrame | Iterable[Mapping[str, Value]],
+    form: str | Mapping[str, str] = "",
+    *,
+    note: str = "",
+    tried: Tried | None = None,
+    brief: Collection[str] | None = None,
+) -> Sheet:
+    """Return the table of lines that are mappings from headings to values, or of a frame.
+
+    Parameters
+    ----------
+    title : str
+        What stands above it.
+    lines : DataFrame or iterable of mapping
+        Values by heading.  Headings come in the order in which they are met first; where a line lacks one, there is a
+        dash.  A column is of words where all its values are.
+    form : str or mapping
+        How numbers are written, see :func:`studies._estimates.number`: one form for all headings, or by heading.  Where
+        none is given, shares below headings that end in "%" are percentages with one decimal.
+    note : str
+        What stands below it.
+    tried : (float, float), optional
+        The least and the greatest level tried, of crossings.
+    brief : collection of str, optional
+        Headings of the columns that a terminal shows where there is no room for all; left out, the first of them.
+
+    Returns
+    -------
+    Sheet
+    """
+    records: Sequence[Mapping[Any, Value]] = (
+        lines.to_dict("records") if isinstance(lines, pd.DataFrame) else list(lines)
+    )
+    headings = list(dict.fromkeys(heading for record in records for heading in record))
+    forms = dict.fromkeys(headings, form) if isinstance(form, str) else dict(form)
+
+    def written(heading: str, value: Value) -> Cell:
+        chosen = forms.get(heading) or (".1%" if heading.endswith("%") else "")
+        return cell(value, chosen, tried=tried)
+
+    def words(heading: str) -> bool:
+        values = [record[heading] for record in records if record.get(heading) is not None]
+        return all(isinstance(value, str) or (isinstance(value, Cell) and value.key is None) for value in values)
+
+    columns = [Column(heading, words=words(heading), brief=brief is None or heading in brief) for heading in headings]
+    return Sheet(title, columns, [[written(each, record.get(each)) for each in headings] for record in records], note)
+
+
+# ------------------------------------------------------------------------------------------------------------ Markdown
+
+
+def markdown(table: Sheet) -> str:
+    """Return a table in Markdown, below its title and above its note.
+
+    Parameters
+    ----------
+    table : Sheet
+        The table.
+
+    Returns
+    -------
+    str
+    """
+
+    def row(cells: Iterable[str]) -> str:
+        return "| " + " | ".join(cells) + " |"
+
+    body = [
+        row(_plain(column.heading) for column in table.columns),
+        row("---" if column.words else "---:" for column in table.columns),
+        *(row(_plain(f"{each.text} {each.under}".strip()) for each in line) for line in table.lines),
+    ]
+    parts = [f"## {_plain(table.title)}", "\n".join(body), *([_plain(table.note)] if table.note else [])]
+    return "\n\n".join(parts) + "\n"
+
+
+def document(title: str, tables: Iterable[Sheet], before: str = "") -> str:
+    """Return a page of Markdown: tables one below the other, then what their columns mean.
+
+    Parameters
+    ----------
+    title : str
+        Title of the page.
+    tables : iterable of Sheet
+        The tables.
+    before : str
+        Markdown above them.
+
+    Returns
+    -------
+    str
+    """
+    shown = list(tables)
+    columns = dict.fromkeys(column for table in shown for column in table.columns if column.meaning)
+    meanings = "\n".join(f"- **{_plain(_named(column))}**: {_plain(column.meaning)}" for column in columns)
+    after = [f"## What the columns mean\n\n{meanings}\n"] if meanings else []
+    return "\n".join([f"# {_plain(title)}\n", *([before + "\n"] if before else []), *map(markdown, shown), *after])
+
+
+def _plain(text: str) -> str:
+    """Escape what Markdown would take for its own; brackets only where they would make a link of what follows."""
+    for sign in "\\|*_<>`":
+        text = text.replace(sign, f"\\{sign}")
+    return " ".join(text.replace("](", "]\\(").split())
+
+
+def _named(column: Column) -> str:
+    return f"{column.group}: {column.heading}" if column.group else column.heading
+
+
+# ------------------------------------------------------------------------------------------------------------ terminal
+
+
+def terminal(table: Sheet, width: int = 80) -> Group:
+    """Return a table for a terminal: as many of its columns as fit with every number whole, six at most.
+
+    Parameters
+    ----------
+    table : Sheet
+        The table.
+    width : int
+        Letters in a line.
+
+    Returns
+    -------
+    rich.console.Group
+        What is left out is said below it.
+    """
+    every = range(len(table.columns))
+    if len(every) > _FEW or sum(_letters(table, i) + _AIR for i in every) > width + _AIR:
+        every = [i for i in every if table.columns[i].brief]
+    chosen: list[int] = []
+    room = width + _AIR
+    for i in every[:_FEW]:
+        room -= _letters(table, i) + _AIR
+        if chosen and room < 0:
+            break
+        chosen.append(i)
+    left_out = len(table.columns) - len(chosen)
+    said = f"{left_out} more column{'s' * (left_out > 1)} in tables.md" if left_out else ""
+    drawn = Table(box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True, pad_edge=False, show_edge=False)
+    for i in chosen:
+        column, letters = table.columns[i], _letters(table, i)
+        justify = "left" if column.words else "right"
+        drawn.add_column(escape(column.heading), justify=justify, min_width=letters, max_width=letters, overflow="fold")
+    for line in table.lines:
+        drawn.add_row(
+            *(Text.assemble(line[i].text, (f"\n{line[i].under}" * bool(line[i].under), "dim")) for i in chosen)
+        )
+    below = "; ".join(filter(None, (table.note, said)))
+    return Group(Text(f"\n{table.title}", style="bold"), drawn, *([Text(below, style="italic")] if below else []))
+
+
+def _letters(table: Sheet, i: int) -> int:
+    """Return the width of a column in which no number and no word is cut."""
+    column, texts = table.columns[i], [text for line in table.lines for text in (line[i].text, line[i].under)]
+    whole = max((len(line) for text in texts for line in text.split("\n")), default=0)
+    if not column.words:
+        return max(whole, *(len(word) for word in column.heading.split()))
+    word = max((len(word) for text in (*texts, column.heading) for word in text.split()), default=1)
+    return max(word, min(whole, _NAME))
+
+
+# ---------------------------------------------------------------------------------------------------------------- HTML
+
+
+def page(title: str, before: Sequence[str], table: Sheet) -> str:
+    """Return a page that stands alone: a table, sorted by a press on a heading, and what its columns mean.
+
+    Nothing is fetched from anywhere; without JavaScript the table is there all the same, in the order given.
+
+    Parameters
+    ----------
+    title : str
+        Title of the page.
+    before : sequence of str
+        Paragraphs above the table.
+    table : Sheet
+        The table.
+
+    Returns
+    -------
+    str
+        HTML.
+    """
+    e, columns = html.escape, table.columns
+    edges = {i for i, column in enumerate(columns) if i and column.group != columns[i - 1].group}
+    groups = "".join(
+        f'<th scope="colgroup" colspan="{sum(column.group == group for column in columns)}" '
+        f'class="{"edge" if group else ""}"><span>{e(group)}</span></th>'
+        for group in dict.fromkeys(column.group for column in columns)
+    )
+    headings = "".join(
+        f'<th scope="col" class="{_kind(column, i in edges)}"><button title="{e(column.meaning)}">{e(column.heading)}'
+        "</button></th>"
+        for i, column in enumerate(columns)
+    )
+    body = "\n".join(
+        "<tr>" + "".join(_html(each, columns[i], i, i in edges) for i, each in enumerate(line)) + "</tr>"
+        for line in table.lines
+    )
+    meanings = "\n".join(f"<dt>{e(_named(column))}</dt><dd>{e(column.meaning)}</dd>" for column in columns)
+    web = files("studies") / "web"
+    style, script = ((web / name).read_text(encoding="utf-8") for name in ("table.css", "table.js"))
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{e(title)}</title>
+<style>
+{style}</style>
+</head>
+<body>
+<h1>{e(title)}</h1>
+{"".join(f"<p>{e(paragraph)}</p>" for paragraph in (*before, *filter(None, [table.note])))}
+<div class="wide" tabindex="0" role="region" aria-label="{e(table.title)}">
+<table>
+<thead>
+<tr>{groups}</tr>
+<tr>{headings}</tr>
+</thead>
+<tbody>
+{body}
+</tbody>
+</table>
+</div>
+<h2>What the columns mean</h2>
+<dl>
+{meanings}
+</dl>
+<script>
+{script}</script>
+</body>
+</html>
+"""
+
+
+def _kind(column: Column, edge: bool) -> str:
+    return " ".join(filter(None, ("words" if column.words else "number", "edge" if edge else "")))
+
+
+def _html(each: Cell, column: Column, place: int, edge: bool) -> str:
+    tag, scope = ("th", ' scope="row"') if place == 0 else ("td", "")
+    key = each.text if each.key is None else "" if math.isnan(each.key) else repr(max(-1e308, min(each.key, 1e308)))
+    bar = f' style="--share:{100 * each.share:.1f}%"' if each.share else ""
+    under = f"<small>{html.escape(each.under)}</small>" if each.under else ""
+    kind = _kind(column, edge) + (" bar" if bar else "")
+    return f'<{tag}{scope} class="{kind}" data-key="{html.escape(key)}"{bar}>{html.escape(each.text)}{under}</{tag}>'
