@@ -43,11 +43,16 @@ class Options:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value, least = getattr(self, field.name), float(field.name != "seed")
-            if isinstance(value, int) and value < least:
-                raise ValueError(f"--{field.name.replace('_', '-')} must be at least {least:g}; got {value}.")
-        if self.steps < self.rollout * self.copies:
-            raise ValueError(f"--steps must be at least a rollout, {self.rollout * self.copies}; got {self.steps}.")
+            value, option = getattr(self, field.name), f"--{field.name.replace('_', '-')}"
+            if isinstance(value, int) and value < (least := 0 if field.name == "seed" else 1):
+                raise ValueError(f"{option} must be at least {least}; got {value}.")
+            if isinstance(value, float) and not 0 < value <= 1:
+                raise ValueError(f"{option} must be above 0 and at most 1; got {value}.")
+        samples = self.rollout * self.copies
+        if self.steps < samples:
+            raise ValueError(f"--steps must be at least a rollout, {samples}; got {self.steps}.")
+        if self.batch < 2 or samples % self.batch:  # advantages are normalized within a batch
+            raise ValueError(f"--batch must be at least 2 and divide a rollout, {samples}; got {self.batch}.")
 
 
 class Agent(nn.Module):

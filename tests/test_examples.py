@@ -65,6 +65,8 @@ def test_the_command_line_trains_and_ends_with_the_success_and_its_interval(name
     [
         ("ppo", ["--steps", "2000"], "--steps must be at least a rollout, 2048; got 2000."),
         ("ppo", ["--copies", "0"], "--copies must be at least 1; got 0."),
+        ("ppo", ["--batch", "100"], "--batch must be at least 2 and divide a rollout, 2048; got 100."),
+        ("ppo", ["--gamma", "nan"], "--gamma must be above 0 and at most 1; got nan."),
         ("ppo", ["--seed", "-1"], "--seed must be at least 0; got -1."),
         ("ppo", ["--env", "CartPole-v1"], "invalid choice 'CartPole-v1'"),
         ("sb3_ppo", ["--steps", "0"], "--steps must be at least 1; got 0."),
