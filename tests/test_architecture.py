@@ -112,7 +112,7 @@ def m():
         ("controllers", "studies"),
         ("rl", "controllers"),
         ("rl", "studies"),
-        *((package, outside) for package in PACKAGES for outside in ("tests", "benchmarks")),
+        *((package, outside) for package in PACKAGES for outside in ("tests", "benchmarks", "examples")),
     ],
 )
 def test_imports_run_one_way_from_studies_over_controllers_and_learning_to_the_rig(package: str, stranger: str) -> None:
