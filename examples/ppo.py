@@ -106,6 +106,7 @@ def successes(agent: Agent, env: str, starts: int, seed: int) -> int:
 
 def train(options: Options) -> Agent:
     """Return a trained agent; print its success on the way."""
+    torch.set_num_threads(1)  # networks this small are fastest on one
     torch.manual_seed(options.seed)
     envs = make(options.env, options.copies)
     width, actions = (gym.spaces.flatdim(space) for space in (envs.single_observation_space, envs.single_action_space))
@@ -156,7 +157,6 @@ def train(options: Options) -> Agent:
 def main(arguments: list[str] | None = None) -> None:
     """Train as the command line says, and print the success over 200 fresh starts."""
     options = tyro.cli(Options, args=arguments, description=__doc__, prog="python -m examples.ppo")
-    torch.set_num_threads(1)  # networks this small are fastest on one
     good = successes(train(options), options.env, 200, seed=options.seed + 2)
     interval = binomtest(good, 200).proportion_ci(method="wilson")
     print(f"Success {good / 200:.1%} [{interval.low:.1%}, {interval.high:.1%}]: {good} of 200 fresh starts.")

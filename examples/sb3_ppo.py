@@ -53,6 +53,7 @@ def successes(model: PPO, starts: int, seed: int) -> int:
 
 def train(options: Options) -> PPO:
     """Return a trained model; print its success on the way."""
+    torch.set_num_threads(1)  # networks this small are fastest on one
     model = PPO("MlpPolicy", "dpend/Balance-v0", seed=options.seed, device="cpu")
     while model.num_timesteps < options.steps:
         left = options.steps - model.num_timesteps
@@ -64,7 +65,6 @@ def train(options: Options) -> PPO:
 def main(arguments: list[str] | None = None) -> None:
     """Train as the command line says, and print the success over 200 fresh starts."""
     options = tyro.cli(Options, args=arguments, description=__doc__, prog="python -m examples.sb3_ppo")
-    torch.set_num_threads(1)  # networks this small are fastest on one
     good = successes(train(options), 200, seed=options.seed + 2)
     interval = binomtest(good, 200).proportion_ci(method="wilson")
     print(f"Success {good / 200:.1%} [{interval.low:.1%}, {interval.high:.1%}]: {good} of 200 fresh starts.")
