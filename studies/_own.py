@@ -23,7 +23,7 @@ import numpy as np
 
 import dpend
 from dpend import Controller, Rig
-from dpend.controller import check_controller, is_batched
+from dpend.controller import as_controller, check_controller, is_batched
 
 from ._closure import closure_of_file, combined, file_hash, within_environment
 
@@ -65,7 +65,7 @@ def load_own(spec: str, rig: Rig) -> Loaded:
     ----------
     spec : str
         ``path.py:factory`` or ``module:factory``.  The factory is a function or class, called with the rig, or with
-        nothing where it takes nothing; or a controller.
+        nothing where it takes nothing; or a controller, or a plain function ``law(t, x)`` of one state.
     rig : Rig
         The rig on which it is tried.
 
@@ -117,12 +117,14 @@ def _module(place: str) -> ModuleType:
 
 
 def _made(factory: object, rig: Rig) -> Controller:
-    """Call a factory with the rig, or with nothing where it takes nothing; a controller is one already."""
+    """Call a factory with the rig, or with nothing where it takes nothing; a controller or law(t, x) is one already."""
     if not isinstance(factory, type) and isinstance(factory, Controller):
         return factory
     if not callable(factory):
         raise TypeError(f"expected a function, a class or a controller; got {factory!r}")
-    taken = inspect.signature(factory).parameters.values()
+    taken = list(inspect.signature(factory).parameters.values())
+    if inspect.isfunction(factory) and [each.name for each in taken[:1]] == ["t"]:
+        return as_controller(factory)
     wants_rig = any(parameter.name == "rig" or parameter.default is parameter.empty for parameter in taken)
     made: Any = factory(rig) if wants_rig else factory()
     return made

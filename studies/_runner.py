@@ -398,10 +398,10 @@ def _kept(short: str) -> dict[str, _Work]:
     if folder is None or "keys" not in meta:
         return {}
     table = load(folder)
-    columns: list[str] = meta["row_columns"]
     rows: dict[int, list[dict[str, Any]]] = {}
-    for line in table.lines():
-        rows.setdefault(line.job, []).append({column: getattr(line, column) for column in columns})
+    records = cast(Any, table.rows[meta["row_columns"]]).to_dict("records")
+    for number, record in zip(table.rows["job"], records, strict=True):
+        rows.setdefault(number, []).append(record)
     return {
         digits: _Work({"rows": rows[number], "seconds": seconds}, dict(table.by_job.get(number, {})))
         for number, (digits, seconds) in enumerate(meta["keys"].items())

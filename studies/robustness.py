@@ -274,8 +274,8 @@ def _overview(table: Table, name: str, task: TaskName) -> dict[str, float]:
     outcomes = outcomes_of(table, name, task)
     _, mean, tail = on_plants(table, name, task)
     shares = {"nominal": outcomes[NOMINAL.name], **of_groups(outcomes)}
-    rest = {"score": _perturbations.score(outcomes), "all wrong, mean": mean, "all wrong, worst tenth": tail}
-    return {group: float(of.mean()) for group, of in shares.items()} | {what: of.value for what, of in rest.items()}
+    sums = {"score": _perturbations.score(outcomes), "all wrong, mean": mean, "all wrong, worst tenth": tail}
+    return {group: float(of.mean()) for group, of in shares.items()} | {what: of.value for what, of in sums.items()}
 
 
 def _least(table: Table, name: str, task: TaskName) -> dict[str, float]:

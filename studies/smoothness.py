@@ -45,7 +45,7 @@ from rl.deep import read_recipe
 
 from . import _field, _runner
 from ._estimates import Estimate, mean_share, median, share
-from ._field import CONTENDERS, RIG, TaskName, find, styles
+from ._field import CONTENDERS, RIG, Cost, TaskName, find, styles
 from ._figures import Style, facets, force_trace, intervals, legend_above, log_axis, mosaic, scatter, share_axis, strip
 from ._own import Own
 from ._runner import Report, Result, Table
@@ -106,7 +106,6 @@ SHOWN = (
 """Those whose forces and spectra are drawn, beside the user's own."""
 
 _LEAST = 0.01  # u_max/s; what varies less is drawn there
-_QUICK = 25  # samples
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,25 +185,26 @@ def trainings(runs: Path) -> dict[str, Smoothed]:
 
 
 def jobs(options: Options) -> list[Job]:
-    """List the work: each contender on its tasks, with the devices, and the deep trainings; what takes long first."""
-    n, few = (2, 1) if options.quick else (options.starts, None)
+    """List the work, what takes long first: contenders, with the devices, and deep trainings; if quick, few of each."""
+    n, few = (2, slice(-1, None)) if options.quick else (options.starts, slice(None))
 
     def both(task: str, **what: Any) -> list[Job]:
-        steps = _QUICK if options.quick else TASKS[task].steps
-        return [Job(task=task, condition=c, steps=steps, seed=options.seed, **what) for c in CONDITIONS]
+        return [Job(task=task, condition=c, steps=TASKS[task].steps, seed=options.seed, **what) for c in CONDITIONS]
 
     found = []
     for task, name in NAMES.items():
         for contender in options.contenders(name):
+            if options.quick and contender.cost is Cost.EXPENSIVE and contender.name not in options.only:
+                continue
             what: dict[str, Any] = {"contender": contender.name, "starts": contender.cost.runs(n), "own": contender.own}
             found += both(task, **what)
             for device, (_, settings, wrapped, _) in DEVICES.items() if task == DEVICE_TASK else ():
                 if contender.name in wrapped or (contender.own and wrapped == _WRAPPED):
-                    for setting in settings[:few]:
+                    for setting in settings[few]:
                         found += both(task, device=device, setting=setting, **what)
     for name, (device, strength, each) in ({} if options.only else trainings(options.runs)).items():
         for task in ("balance 0.1", "swing-up"):
-            for one in each:
+            for one in each[few]:
                 found += both(
                     task, contender=name, starts=n, device=device, setting=strength, training=one.seed, kept=one
                 )
@@ -307,7 +307,7 @@ def _ratio(line: Any) -> Estimate:
 
 
 def _pareto(table: Table, looks: Mapping[str, Style], condition: str) -> Figure:
-    """Draw for each task success against total variation, one labelled point a contender, and the front."""
+    """Draw for each task success against total variation, the median over runs that succeed, and the front."""
     figure, axes = facets(len(TASKS), height=8.6, sharex=True)
     lines = list(table.lines(metric="variation", condition=condition, device="none"))
     points = {
@@ -318,7 +318,7 @@ def _pareto(table: Table, looks: Mapping[str, Style], condition: str) -> Figure:
     ends = [bound for x, _ in points.values() for bound in x] or [0.1, 10.0]
     log_axis(axes[-1, 0])
     axes[-1, 0].set(xlim=(min(ends) / 1.6, max(ends) * 1.6))
-    axes[-1, 0].set_xlabel("total variation of the force (force limits per second), median over runs that succeed")
+    axes[-1, 0].set_xlabel("total variation of the force (u_max/s)")
     for axis, task in zip(axes[:, 0], TASKS, strict=True):
         share_axis(axis, "starts that succeed")
         axis.set(ylim=(-0.06, 1.32), yticks=np.linspace(0, 1, 6), title=f"{_TITLES[task]}, {_WORDS[condition]}")
@@ -330,14 +330,8 @@ def _pareto(table: Table, looks: Mapping[str, Style], condition: str) -> Figure:
         own = {name: point for (of, name), point in points.items() if of == task}
         labels = {name: name + f" (below {_LEAST:g})" * (x.value <= _LEAST) for name, (x, _) in own.items()}
         if best := front(own.values()):
-            axis.step(
-                *np.transpose([*best, (axis.get_xlim()[1], best[-1][1])]),
-                where="post",
-                color="#999999",
-                lw=0.8,
-                ls="--",
-                zorder=1,
-            )
+            x, y = np.transpose([*best, (axis.get_xlim()[1], best[-1][1])])
+            axis.step(x, y, where="post", color="#999999", lw=0.8, ls="--", zorder=1)
         scatter(axis, {labels[name]: point for name, point in own.items()}, {labels[name]: looks[name] for name in own})
     return figure
 
@@ -453,7 +447,7 @@ def _learned(table: Table) -> dict[str, list[Any]]:
     trained = _trained(table)
     for name, lines in trained.items():
         device = lines[0].device.replace(", ", ",\n")
-        words = f"{textwrap.fill(name, 12)}\n{device}\nswing-up"
+        words = f"{textwrap.fill(name, 10)}\n{device}\nswing-up"
         groups[words] = [line for line in lines if line.task == "swing-up"]
     for name in () if trained else ("PPO swing-up", "PPO swing-up, smooth"):
         groups[name.replace(" ", "\n")] = list(table.lines(metric="variation", contender=name, task="swing-up"))

@@ -269,7 +269,7 @@ def test_trainings_of_two_recipes_or_none_are_not_packed(tmp_path):
 def test_a_file_of_something_else_is_no_file_of_trainings():
     file = ROOT / "rl/trained/lspi.npz"
     message = (
-        f"{file} cannot be read as 'dpend deep trainings 1': it is 'dpend policy 2'. Save it anew, or copy it again."
+        f"{file} cannot be read as 'dpend deep trainings 1': it is 'dpend policy 2'. Save it again, or copy it afresh."
     )
     with pytest.raises(ValueError, match=whole(message)):
         read_trainings(file)

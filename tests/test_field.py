@@ -33,6 +33,8 @@ def tame(gain=0.5):
     return Tame()
 
 ready = ByHand()
+def law(t, x):
+    return float(x @ [-1, 150, -165, -2.5, 7, -29])
 wrong_shape = lambda: type("Wrong", (), {"start": lambda self, n, rng: lambda t, y: y})()
 number = 3
 def nothing():
@@ -70,8 +72,8 @@ def test_a_share_of_the_runs_is_never_less_than_twenty():
     assert [mpc.cost.runs(n) for n in (10, 50, 1000)] == [10, 20, 200]
 
 
-@pytest.mark.parametrize("factory", ["ByHand", "limited", "tame", "ready"])
-def test_a_class_a_function_and_an_object_join_by_the_name_they_have(file, factory):
+@pytest.mark.parametrize("factory", ["ByHand", "limited", "tame", "ready", "law"])
+def test_a_class_a_function_an_object_and_a_plain_law_join_by_the_name_they_have(file, factory):
     contender = Options(controller=(f"{file}:{factory}",)).contenders("swing-up")[-1]
     assert contender.name == factory
     force = contender.make(RIG, dpend.Balance()).start(1, np.random.default_rng(0))(0.0, np.full((1, 6), 0.1))
