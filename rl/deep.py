@@ -25,12 +25,12 @@ from dpend.metrics import force_metrics
 from dpend.params import Array
 from dpend.provenance import versions
 from dpend.rig import Rig
+from dpend.shaping import observation_scales
 from dpend.simulate import checked_seed, simulate_many
 from dpend.tasks import Balance, SwingUp
 
 from .policies import MLPPolicy, Network, load_policy
 from .recipes import EPISODE, INSTALL, NEEDED, DeepRecipe
-from .shaping import observation_scales
 from .training import Cost, Outcome, Progress, Seed, Trail, Training, samples_within
 
 _EVALUATION_STREAM = 7159  # sets the starts of evaluation apart from others drawn with the same seed

@@ -13,11 +13,11 @@ import numpy.typing as npt
 from dpend import archive
 from dpend.controller import Act
 from dpend.params import Array
+from dpend.shaping import observe
 from dpend.state import nearest_upright, wrap
 from dpend.suggest import suggestion
 
 from .features import TABLE1, make_value_features, slope_features
-from .shaping import observe
 
 _FORMAT = "dpend policy 2"
 _TRAINED = Path(__file__).parent / "trained"
@@ -315,15 +315,15 @@ class Network(Saved):
 class MLPPolicy(Saved):
     r"""A network on scaled states, :math:`u = F\,\pi(o(y))`, held for a period of its own.
 
-    Where the network has one input more than :func:`rl.shaping.observe` returns for a state, it also sees its own last
-    action.
+    Where the network has one input more than :func:`dpend.shaping.observe` returns for a state, it also sees its own
+    last action.
 
     Parameters
     ----------
     network : Network
         :math:`\pi`; eight or nine inputs, one output.
     scales : array_like (4,)
-        What :func:`rl.shaping.observe` divides position, velocity and both rates by.
+        What :func:`dpend.shaping.observe` divides position, velocity and both rates by.
     force_limit : float
         :math:`F`, N.
     period : float

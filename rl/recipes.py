@@ -1,6 +1,6 @@
 r"""Recipes of deep reinforcement learning: everything that a training depends on but its seed, and its environments.
 
-:mod:`rl.deep` follows them; what is seen and rewarded is stated in :mod:`rl.shaping`.
+:mod:`rl.deep` follows them; what is seen and rewarded is stated in :mod:`dpend.shaping`.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ import dpend
 from dpend.arguments import checked_whole
 from dpend.deprecation import warn_renamed
 from dpend.rig import Rig, as_rig
+from dpend.shaping import LONGEST_HOLD, Mixture
 from dpend.suggest import suggestion, suggests
 from dpend.tasks import Balance, SwingUp
 from dpend.vector_env import CartDoublePendulumVectorEnv
 
-from .shaping import Shaped
 from .training import check_ranges
 
 Value = TypeVar("Value")
@@ -53,7 +53,6 @@ EPISODE = 10.0
 ROLLOUT = 64
 """Steps that PPO takes in every copy between two rounds of updates."""
 
-_LONGEST_HOLD = 0.04  # s
 _OFF_POLICY: dict[str, Any] = {
     "steps": 300_000,
     "copies": 16,
@@ -315,7 +314,7 @@ class DeepRecipe:
                 "Set it with rig.replace(force_limit=...), in N."
             )
         swing = self.task == "swing-up"
-        longest = _LONGEST_HOLD if swing and rig.ideal else rig.sample_time
+        longest = LONGEST_HOLD if swing and rig.ideal else rig.sample_time
         self._fill(
             period=max(int(longest / rig.sample_time + 1e-9), 1) * rig.sample_time,
             episode=EPISODE if swing else Balance().steps * rig.sample_time,
@@ -429,5 +428,7 @@ def training_envs(recipe: DeepRecipe) -> gym.vector.VectorEnv[Any, Any, Any]:
         mixture = [SwingUp(start=start, angle_spread=0.1) for start in ("hanging", "side")]
         if recipe.starts == "mixed":
             mixture = [*mixture, Balance(lam=recipe.near), SwingUp(start="anywhere")]
-    shaped = Shaped(task=task, rig=rig, mixture=mixture, steps=max(round(recipe.episode / recipe.period), 1))
-    return CartDoublePendulumVectorEnv(shaped, slow, recipe.copies, autoreset_mode=AutoresetMode.SAME_STEP)
+    mixed = Mixture(task=task, mixture=mixture, steps=max(round(recipe.episode / recipe.period), 1))
+    return CartDoublePendulumVectorEnv(
+        mixed, slow, recipe.copies, reward="shaped", autoreset_mode=AutoresetMode.SAME_STEP
+    )

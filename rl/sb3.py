@@ -27,21 +27,20 @@ from stable_baselines3.td3.policies import TD3Policy
 
 from dpend.archive import atomic
 from dpend.params import Array
+from dpend.shaping import nearness, observation_scales, observe
 
 from .policies import Network
 from .recipes import ROLLOUT, DeepRecipe, training_envs
-from .shaping import nearness, observation_scales, observe
 
-_EFFORT = 0.005
 _WARM_UP = 5000  # steps of random actions before DDPG, TD3 and SAC learn
 
 
 class Copies(VecEnv):
     r"""A Gymnasium vector environment as Stable-Baselines3 wants it.
 
-    On our plant, observations are :func:`rl.shaping.observe`'s, and :math:`\tfrac{1}{200}a_t^2` and
-    :math:`w\,|a_t - a_{t-1}|\,e^{-5(2 - \cos\theta_1 - \cos\theta_2)}` are taken off the reward; an episode begins
-    with :math:`a_{-1} = 0`.  The attribute ``grown`` says which share of the recipe's weight :math:`w` is now.
+    On our plant, observations are :func:`dpend.shaping.observe`'s, and
+    :math:`w\,|a_t - a_{t-1}|\,e^{-5(2 - \cos\theta_1 - \cos\theta_2)}` is taken off the reward; an episode begins with
+    :math:`a_{-1} = 0`.  The attribute ``grown`` says which share of the recipe's weight :math:`w` is now.
 
     Parameters
     ----------
@@ -92,13 +91,11 @@ class Copies(VecEnv):
         if len(rows):
             arrived = np.array(y)
             arrived[rows] = np.stack(list(seen["final_obs"][rows]))
-        if self._own:
+        if last is not None:
             a = np.clip(self._actions[:, 0].astype(np.float64), -1.0, 1.0)
-            rewards = rewards - _EFFORT * a**2
-            if last is not None:
-                near = nearness(np.cos(arrived[:, 1]), np.cos(arrived[:, 2]))
-                rewards -= self.grown * self._action_rate * np.abs(a - last) * near
-                last = self._last = a
+            near = nearness(np.cos(arrived[:, 1]), np.cos(arrived[:, 2]))
+            rewards = rewards - self.grown * self._action_rate * np.abs(a - last) * near
+            last = self._last = a
         infos = self._nothing
         if len(rows):
             infos = self._nothing.copy()

@@ -11,9 +11,9 @@ import pytest
 
 import dpend
 from dpend.archive import _checksum
+from dpend.shaping import observe
 from rl import LinearQPolicy, MLPPolicy, Network, TableOneMean, load_policy
 from rl.deep import evaluate
-from rl.shaping import observe
 
 RIG = dpend.rig("gustafsson2016")
 
@@ -91,7 +91,7 @@ def test_what_was_saved_comes_back_to_the_bit(kind, tmp_path):
 def refused(file):
     with pytest.raises(
         ValueError,
-        match=rf"^{re.escape(str(file))} cannot be read as 'dpend policy 2': .+\. Save it anew, or copy it again\.$",
+        match=rf"^{re.escape(str(file))} cannot be read as 'dpend policy 2': .+\. Save it again, or copy it afresh\.$",
     ) as caught:
         load_policy(file)
     return str(caught.value)
