@@ -70,12 +70,8 @@ def swing_up_starts(rng: np.random.Generator, n: int, rig: Rig) -> Array:
     -------
     ndarray (n, 6)
     """
-    halves = [SwingUp(start=start, angle_spread=0.05).starts(rng, size, rig) for start, size in _halves(n)]
-    return np.concatenate(halves)
-
-
-def _halves(n: int) -> list[tuple[str, int]]:
-    return [("hanging", n // 2), ("side", n - n // 2)]
+    halves = ("hanging", n // 2), ("side", n - n // 2)
+    return np.concatenate([SwingUp(start=start, angle_spread=0.05).starts(rng, size, rig) for start, size in halves])
 
 
 def _evaluated(task: str, rig: Rig) -> Balance | SwingUp:

@@ -197,35 +197,26 @@ class CAPSPolicy(ActorCriticPolicy):
         return self.action_net(self.mlp_extractor.forward_actor(observations)).clamp(-1.0, 1.0)
 
 
-def _normalised(critic: ContinuousCritic, width: int, net: Sequence[int]) -> ContinuousCritic:
-    """Return a critic whose hidden layers are normalised before they are activated."""
-    for i in range(len(critic.q_networks)):
-        layers = create_mlp(width, 1, list(net), torch.nn.ReLU, post_linear_modules=[torch.nn.LayerNorm])
-        critic.q_networks[i] = torch.nn.Sequential(*layers)
-        critic.add_module(f"qf{i}", critic.q_networks[i])
-    return critic
+class _Normalised:
+    """Critics whose hidden layers are normalised before they are activated."""
+
+    def make_critic(self: Any, features_extractor: Any = None) -> ContinuousCritic:
+        """Return a critic."""
+        critic = super().make_critic(features_extractor)  # type: ignore[misc]  # of the policy that it is mixed into
+        width = int(np.prod(self.observation_space.shape)) + int(np.prod(self.action_space.shape))
+        for i in range(len(critic.q_networks)):
+            layers = create_mlp(width, 1, list(self.net_arch), torch.nn.ReLU, post_linear_modules=[torch.nn.LayerNorm])
+            critic.q_networks[i] = torch.nn.Sequential(*layers)
+            critic.add_module(f"qf{i}", critic.q_networks[i])
+        return critic
 
 
-class NormalisedTD3Policy(TD3Policy):
+class NormalisedTD3Policy(_Normalised, TD3Policy):
     """Actor and critics of DDPG and TD3, with layer normalisation in the critics."""
 
-    def make_critic(self, features_extractor: Any = None) -> ContinuousCritic:
-        """Return a critic."""
-        critic = super().make_critic(features_extractor)
-        return _normalised(critic, _width(self), cast(Any, self.net_arch))
 
-
-class NormalisedSACPolicy(SACPolicy):
+class NormalisedSACPolicy(_Normalised, SACPolicy):
     """Actor and critics of SAC, with layer normalisation in the critics."""
-
-    def make_critic(self, features_extractor: Any = None) -> ContinuousCritic:
-        """Return a critic."""
-        critic = super().make_critic(features_extractor)
-        return _normalised(critic, _width(self), cast(Any, self.net_arch))
-
-
-def _width(policy: Any) -> int:
-    return int(np.prod(policy.observation_space.shape)) + int(np.prod(policy.action_space.shape))
 
 
 class Learner:
