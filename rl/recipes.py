@@ -50,12 +50,16 @@ EPISODE = 10.0
 ROLLOUT = 64
 """Steps that PPO takes in every copy between two rounds of updates."""
 
-_DEFAULTED: tuple[str, ...] = ("steps", "copies", "batch", "learning_rate", "updates", "noise", "evaluate_every")
-_PPO = (8_000_000, 512, 1024, (1e-3, 5e-5), 4 / 1024, math.exp(-0.5), 262_144)
-_OFF_POLICY = (300_000, 16, 256, (1e-3, 1e-4), 0.5, 0.2, 10_000)
+
+def _defaults(*values: Any) -> dict[str, Any]:
+    names = "steps", "copies", "batch", "learning_rate", "updates", "noise", "evaluate_every"
+    return dict(zip(names, values, strict=True))
+
+
+_OFF_POLICY = _defaults(300_000, 16, 256, (1e-3, 1e-4), 0.5, 0.2, 10_000)
 DEFAULTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
-    {"ppo": dict(zip(_DEFAULTED, _PPO, strict=True))}
-    | {algo: dict(zip(_DEFAULTED, _OFF_POLICY, strict=True)) for algo in ("ddpg", "td3", "sac")}
+    {"ppo": _defaults(8_000_000, 512, 1024, (1e-3, 5e-5), 4 / 1024, math.exp(-0.5), 262_144)}
+    | dict.fromkeys(("ddpg", "td3", "sac"), _OFF_POLICY)
 )
 """What a recipe takes for settings that are left out, by algorithm."""
 
