@@ -21,7 +21,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from dpend.kernels import compiled
 from dpend.params import Array
@@ -347,7 +346,7 @@ def _practise(K, e, noise, rng, state, clock, lengths, z, following):
 
     Episodes go on from call to call: in ``state`` their state, in ``clock`` their age and number; ``lengths`` grow.
     """
-    x = to_fixed_tuple(state, 6)
+    x = (state[0], state[1], state[2], state[3], state[4], state[5])
     for k in range(len(z)):
         if clock[0] == 0:
             x = started(e, rng)
@@ -388,7 +387,7 @@ def _learn_steps(w, scales, costs, steps, e, noise, rng, state, clock, lengths, 
     Returns whether it did not have to stop.
     """
     q = steps
-    x = to_fixed_tuple(state, 6)
+    x = (state[0], state[1], state[2], state[3], state[4], state[5])
     s, features = np.empty(7), np.empty(28)
     for t in range(begin, end):
         if clock[0] == 0:

@@ -45,7 +45,8 @@ class Saved:
     @classmethod
     def from_arrays(cls, *, about: Mapping[str, Any], **arrays: npt.NDArray[Any]) -> Any:
         """Build a policy from what :meth:`arrays` returned."""
-        return cls(about=about, **arrays)
+        build: Any = cls
+        return build(**arrays, about=about)
 
     def save(self, path: str | Path) -> Path:
         """Write an archive of plain arrays with a checksum, to the end or not at all.
