@@ -296,13 +296,7 @@ def _training(
 
 
 def _steps_within(recipe: DeepRecipe, seconds: float | None) -> int:
-    """Return the environment steps that a budget of experience allows, in whole rounds, at most the recipe's.
-
-    Raises
-    ------
-    ValueError
-        If it does not allow one round.
-    """
+    """Return the environment steps that a budget of experience allows, in whole rounds; refuse less than one."""
     if seconds is None:
         return recipe.steps
     if recipe.env:
