@@ -1,4 +1,4 @@
-r"""What the shipped deep policies saw and were rewarded for: scaled observations, a shaped reward, a mixture of starts.
+r"""What deep learners see and are rewarded for: scaled observations, a shaped reward, a mixture of starts.
 
 .. math::
     o(y) &= (p/s_p,\ \sin\theta_1,\ \cos\theta_1,\ \sin\theta_2,\ \cos\theta_2,\ v/s_v,\ \omega_1/s_\omega,\
@@ -27,7 +27,8 @@ from .tasks import Balance, Codes, SwingUp
 
 _FAILURE_COST = 5.0
 _EFFORT_COST = 0.005
-_LONGEST_HOLD = 0.04
+LONGEST_HOLD = 0.04
+"""How long a force is held on an ideal rig at most, s."""
 _EPISODE = 10.0
 
 
@@ -174,7 +175,7 @@ def shaped_swing_up(rig: Rig) -> tuple[Mixture, Rig]:
     rig : Rig
         The rig.
     """
-    samples = max(math.floor(_LONGEST_HOLD / rig.sample_time + 1e-9), 1) if rig.ideal else 1
+    samples = max(math.floor(LONGEST_HOLD / rig.sample_time + 1e-9), 1) if rig.ideal else 1
     # Holding a force for k samples is sampling k times more slowly, with as many substeps.
     slow = rig.replace(sample_time=samples * rig.sample_time, substeps=samples * rig.substeps)
     starts = [SwingUp(start=start, angle_spread=0.1) for start in ("hanging", "side")]

@@ -26,12 +26,12 @@ from dpend.metrics import force_metrics
 from dpend.params import Array
 from dpend.provenance import versions
 from dpend.rig import Rig
+from dpend.shaping import observation_scales
 from dpend.simulate import checked_seed, simulate_many
 from dpend.tasks import Balance, SwingUp
 
 from .policies import MLPPolicy, Network, load_policy, made_policy
 from .recipes import EPISODE, INSTALL, NEEDED, DeepRecipe
-from .shaping import observation_scales
 from .training import Cost, Outcome, Progress, Seed, Trail, Training, samples_within
 
 _EVALUATION_STREAM = 7159  # sets the starts of evaluation apart from others drawn with the same seed
@@ -72,12 +72,8 @@ def swing_up_starts(rng: np.random.Generator, n: int, rig: Rig) -> Array:
     -------
     ndarray (n, 6)
     """
-    halves = [SwingUp(start=start, angle_spread=0.05).starts(rng, size, rig) for start, size in _halves(n)]
-    return np.concatenate(halves)
-
-
-def _halves(n: int) -> list[tuple[str, int]]:
-    return [("hanging", n // 2), ("side", n - n // 2)]
+    halves = ("hanging", n // 2), ("side", n - n // 2)
+    return np.concatenate([SwingUp(start=start, angle_spread=0.05).starts(rng, size, rig) for start, size in halves])
 
 
 def _evaluated(task: str, rig: Rig) -> Balance | SwingUp:
@@ -407,13 +403,7 @@ def _training(
 
 
 def _steps_within(recipe: DeepRecipe, seconds: float | None) -> int:
-    """Return the environment steps that a budget of experience allows, in whole rounds, at most the recipe's.
-
-    Raises
-    ------
-    ValueError
-        If it does not allow one round.
-    """
+    """Return the environment steps that a budget of experience allows, in whole rounds; refuse less than one."""
     if seconds is None:
         return recipe.steps
     if recipe.env:

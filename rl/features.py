@@ -24,24 +24,8 @@ from dpend.params import Array
 from dpend.state import NAMES, wrap_angle
 
 TABLE1 = (
-    "|pos|",
-    "pos",
-    "|n(th1)|",
-    "n(th1)",
-    "|n(th2)|",
-    "n(th2)",
-    "|vel|",
-    "vel",
-    "|om1|",
-    "om1",
-    "|om2|",
-    "om2",
-    "a pos",
-    "a vel",
-    "a th1",
-    "a om1",
-    "a th2",
-    "a om2",
+    *("|pos|", "pos", "|n(th1)|", "n(th1)", "|n(th2)|", "n(th2)", "|vel|", "vel", "|om1|", "om1", "|om2|", "om2"),
+    *("a pos", "a vel", "a th1", "a om1", "a th2", "a om2"),
 )
 """Names of the features, in the report's order; ``n`` is the difference to the nearest whole turn."""
 

@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dpend.arguments import checked_whole
 from dpend.deprecation import renamed_arguments
 from dpend.kernels import compiled, counted, inline, links_upright, report_cost, status_code, succeeded, wrap_angle
 from dpend.params import Array
@@ -33,7 +32,7 @@ from . import features
 from ._episode import episode, moved, started
 from .features import CART_FEATURES, TABLE1
 from .policies import LinearQPolicy
-from .training import Outcome, Progress, Seed, Session, Training, check_ranges, training_rig
+from .training import Outcome, Progress, Seed, Session, Training, check_settings, is_vector, training_rig
 
 REPORT_FORCES = (0.0, 5.0, -5.0, 10.0, -10.0, 20.0, -20.0, 40.0, -40.0)
 """The report's action set, N."""
@@ -122,30 +121,25 @@ class LinearQLearning:
                 )
             if self.acceptance:
                 raise ValueError("Acceptance tests are of balancing; leave acceptance empty for a swing-up.")
-        for name in ("streak", "acceptance_episodes", "max_episodes"):
-            checked_whole(name, getattr(self, name))
-        if self.restart_after is not None:
-            checked_whole("restart_after", self.restart_after)
         for test in self.acceptance:
             lam, share = test
             check_lam(lam)
             if not 0 <= share <= 1:
                 raise ValueError(f"acceptance names pairs (lambda, share) with a share within 0 and 1; got {test!r}.")
-        if len(self.scales) != len(TABLE1) or not np.isfinite(self.scales).all():
+        if not is_vector(self.scales, len(TABLE1)):
             raise ValueError(f"scales must be {len(TABLE1)} finite numbers; got {self.scales!r}.")
         forces, limit = np.asarray(self.forces, dtype=np.float64), self.rig.force_limit
         if forces.ndim != 1 or not len(forces) or not (np.abs(forces) <= limit).all():
             raise ValueError(
                 f"forces must be a list of forces within the rig's limit of {limit:g} N; got {self.forces!r}."
             )
-        check_ranges(
+        check_settings(
             self,
-            ("alpha", 0 < self.alpha < math.inf, "greater than 0"),
-            ("alpha_decay", 0 <= self.alpha_decay < math.inf, "at least 0"),
-            ("gamma", 0 < self.gamma <= 1, "above 0 and at most 1"),
-            ("epsilon", 0 <= self.epsilon <= 1, "within 0 and 1"),
-            ("epsilon_decay", 0 <= self.epsilon_decay < math.inf, "at least 0"),
-            ("init_std", 0 <= self.init_std < math.inf, "finite and at least 0"),
+            whole=("streak", "acceptance_episodes", "max_episodes", "restart_after"),
+            positive=("alpha",),
+            nonnegative=("alpha_decay", "epsilon_decay", "init_std"),
+            portion=("gamma",),
+            share=("epsilon",),
         )
 
     @classmethod
@@ -286,12 +280,10 @@ _slope_features = inline(features.slope_features)
 @inline
 def _write_features(x, scales, value, slope):
     """Write the scaled features of a state: those without the action, and the factors of the action."""
-    raw_value = _value_features(x)
-    for i in range(12):
-        value[i] = scales[i] * raw_value[i]
-    raw_slope = _slope_features(x)
-    for i in range(6):
-        slope[i] = scales[12 + i] * raw_slope[i]
+    value[:] = _value_features(x)
+    value *= scales[:12]
+    slope[:] = _slope_features(x)
+    slope *= scales[12:]
 
 
 @inline

@@ -15,7 +15,6 @@ R. Parr, *Least-squares policy iteration*, 2003.  ``docs/lspi.md`` says what it 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -23,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from dpend.arguments import checked_whole
 from dpend.kernels import compiled
 from dpend.params import Array
 from dpend.rig import Rig
@@ -33,7 +31,7 @@ from dpend.tasks import Balance
 from ._episode import ended, episode, moved, started
 from .features import QUADRATIC, quadratic_features, quadratic_form
 from .policies import GainPolicy
-from .training import Outcome, Progress, Seed, Session, Training, check_ranges, training_rig
+from .training import Outcome, Progress, Seed, Session, Training, check_settings, is_vector, training_rig
 
 _SETTLED = 0.1  # a gain has settled where the last tenth of them is within this of the last, relative to its norm
 _STREAM = 2003  # sets learning apart from starts drawn with the same seed
@@ -118,23 +116,17 @@ class _GainLearner:
         """Balancing, in episodes of its own."""
         return Balance(lam=self.lam, steps=self.episode_steps)
 
-    def _check(self, whole: Sequence[str], *own: tuple[str, bool, str]) -> None:
+    def _check(self, *own: tuple[str, bool, str], whole: Sequence[str], **ranges: Sequence[str]) -> None:
         """Refuse settings that make no sense, before anything runs."""
         object.__setattr__(self, "rig", training_rig(self.rig, type(self).__name__))
-        for name in (*whole, "episode_steps"):
-            checked_whole(name, getattr(self, name))
-        weights = self.state_weights
-        weights_good = len(weights) == 6 and all(math.isfinite(weight) and weight >= 0 for weight in weights)
-        check_ranges(
+        check_settings(
             self,
-            ("state_weights", weights_good, "6 finite numbers, at least 0"),
-            ("force_weight", 0 < self.force_weight < math.inf, "finite and greater than 0"),
-            ("gamma", 0 < self.gamma <= 1, "above 0 and at most 1"),
-            ("gamma_start", 0 < self.gamma_start <= 1, "above 0 and at most 1"),
-            ("noise", 0 < self.noise < math.inf, "finite and greater than 0"),
-            ("lam", 0 < self.lam <= math.pi / 2, "above 0 and at most pi/2"),
-            ("angle_cut", 0 < self.angle_cut <= math.pi / 2, "above 0 and at most pi/2"),
+            ("state_weights", is_vector(self.state_weights, 6, 0.0), "6 finite numbers, at least 0"),
             *own,
+            whole=(*whole, "episode_steps"),
+            positive=("force_weight", "noise", *ranges.pop("positive", ())),
+            portion=("gamma", "gamma_start", *ranges.pop("portion", ())),
+            angle=("lam", "angle_cut"),
         )
 
 
@@ -192,9 +184,9 @@ class LSPI(_GainLearner):
 
     def __post_init__(self) -> None:
         self._check(
-            ("iterations", "samples", "keep", "anneal"),
-            ("step", 0 < self.step <= 1, "above 0 and at most 1"),
             ("keep", self.keep >= len(QUADRATIC), f"at least {len(QUADRATIC)}, the number of features"),
+            whole=("iterations", "samples", "keep", "anneal"),
+            portion=("step",),
         )
 
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
@@ -243,16 +235,8 @@ class QuadraticQLearning(_GainLearner):
 
     Parameters
     ----------
-    rig : Rig or str
-        An ideal one: no noise, delay or lag; or the name of a preset.
-    state_weights : sequence of 6 floats
-        Diagonal of :math:`Q`, at least zero.
-    force_weight : float
-        :math:`R`, greater than zero.
-    gamma : float
-        Discount factor at the end.
-    gamma_start : float
-        Discount factor at the beginning.
+    rig, state_weights, force_weight, gamma, gamma_start, noise, lam, angle_cut, episode_steps
+        As of :class:`LSPI`.
     anneal : int
         Samples over which the discount factor grows, in equal steps.
     samples : int
@@ -265,14 +249,6 @@ class QuadraticQLearning(_GainLearner):
         Size of each state and of the action, by which it is divided.
     force_bound : float
         Largest greedy force, N, where the rig's own limit is larger.
-    noise : float
-        Standard deviation of the exploring force, N.
-    lam : float
-        :math:`\lambda` of the starting angles, :math:`U[-\lambda, \lambda]`, rad.
-    angle_cut : float
-        An episode is cut where a link leans more, rad.
-    episode_steps : int
-        An episode is cut after so many samples, too.
     record_every : int
         Samples between two recorded gains.
 
@@ -291,13 +267,12 @@ class QuadraticQLearning(_GainLearner):
     record_every: int = 100
 
     def __post_init__(self) -> None:
-        scales_good = len(self.scales) == 7 and all(math.isfinite(scale) and scale > 0 for scale in self.scales)
+        scales_good = is_vector(self.scales, 7) and min(self.scales) > 0
         self._check(
-            ("samples", "anneal", "record_every"),
             ("alpha", 0 < self.alpha < 2, "above 0 and below 2"),
-            ("epsilon", 0 < self.epsilon < math.inf, "finite and greater than 0"),
             ("scales", scales_good, "7 finite numbers greater than 0"),
-            ("force_bound", 0 < self.force_bound < math.inf, "finite and greater than 0"),
+            whole=("samples", "anneal", "record_every"),
+            positive=("epsilon", "force_bound"),
         )
 
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
@@ -379,18 +354,16 @@ def _practise(K, e, noise, rng, state, clock, lengths, z, following):
         a = noise * rng.standard_normal()
         for i in range(6):
             a -= K[i] * x[i]
-            z[k, i] = x[i]
         a = min(max(a, -e.force_limit), e.force_limit)
+        z[k, :6] = x
         z[k, 6] = a
         x = moved(e, x, a)
-        for i in range(6):
-            following[k, i] = x[i]
+        following[k] = x
         clock[0] += 1
         lengths[clock[1] - 1] += 1
         if ended(e, x) or clock[0] >= e.steps:
             clock[0] = 0
-    for i in range(6):
-        state[i] = x[i]
+    state[:] = x
 
 
 @compiled
@@ -455,6 +428,5 @@ def _learn_steps(w, scales, costs, steps, e, noise, rng, state, clock, lengths, 
         lengths[clock[1] - 1] += 1
         if ended(e, x) or clock[0] >= e.steps:
             clock[0] = 0
-    for i in range(6):
-        state[i] = x[i]
+    state[:] = x
     return True

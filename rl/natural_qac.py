@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dpend.arguments import checked_whole
 from dpend.kernels import compiled
 from dpend.params import Array
 from dpend.rig import Rig
@@ -26,7 +25,7 @@ from . import features
 from ._episode import ended, episode, moved, started
 from .features import quadratic_features, quadratic_form
 from .policies import GainPolicy
-from .training import Outcome, Progress, Seed, Session, Training, check_ranges, training_rig
+from .training import Outcome, Progress, Seed, Session, Training, check_settings, is_vector, training_rig
 
 _STREAM = 1968  # that of Algorithm 2, of which this is a variant
 _OVERFLOW = 1e100  # weights beyond it have diverged; the next product would still be a number
@@ -42,22 +41,11 @@ class NaturalQAC:
 
     Parameters
     ----------
-    rig : Rig or str
-        An ideal one: no noise, delay or lag; or the name of a preset.
-    task : Balance
-        Starts, episode length, failure, and the costs whose negative is the reward that is reported.
-    alpha : float
-        Step size of the actor.
-    beta : float
-        Step size of a critic that does not solve least squares.
+    rig, task, alpha, beta, gamma, streak, max_episodes
+        As of :class:`rl.GaussianQAC`; the task's cost is that which is reported, ``beta`` that of a critic that does
+        not solve least squares, and ``gamma`` the discount factor at the end.
     sigma : float
         Standard deviation of the policy at first, N.
-    gamma : float
-        Discount factor at the end.
-    streak : int
-        Successful episodes in a row that count as convergence.
-    max_episodes : int
-        Budget of learning episodes.
     scales : sequence of 7 floats
         Size of each state and of the action.
     critic : {"quadratic", "table 1"}
@@ -125,31 +113,21 @@ class NaturalQAC:
         object.__setattr__(self, "rig", training_rig(self.rig, "GaussianQAC"))
         if not isinstance(self.task, Balance):
             raise TypeError(f"task must be a dpend.Balance; got {self.task!r}.")
-        for name in ("streak", "max_episodes"):
-            checked_whole(name, getattr(self, name))
         if self.critic not in ("quadratic", "table 1"):
             raise ValueError(f'critic must be "quadratic" or "table 1"; got {self.critic!r}.')
-        if len(self.scales) != 7 or not all(math.isfinite(scale) and scale > 0 for scale in self.scales):
-            raise ValueError(f"scales must be 7 finite numbers greater than 0; got {self.scales!r}.")
-        costs = self.state_costs
-        if costs is not None and (len(costs) != 6 or not all(math.isfinite(q) and q >= 0 for q in costs)):
-            raise ValueError(f"state_costs must be 6 finite numbers, at least 0, or None; got {costs!r}.")
-        check_ranges(
+        costs, scales_good = self.state_costs, is_vector(self.scales, 7) and min(self.scales) > 0
+        check_settings(
             self,
-            ("alpha", 0 < self.alpha < math.inf, "finite and greater than 0"),
-            ("beta", 0 < self.beta < math.inf, "finite and greater than 0"),
-            ("sigma", 0 < self.sigma < math.inf, "finite and greater than 0"),
-            ("gamma", 0 < self.gamma <= 1, "above 0 and at most 1"),
+            ("scales", scales_good, "7 finite numbers greater than 0"),
+            ("state_costs", costs is None or is_vector(costs, 6, 0.0), "6 finite numbers, at least 0, or None"),
             ("replay", self.replay >= 0, "at least 0"),
             ("norm_cap", self.norm_cap > 0, "greater than 0"),
-            ("gamma_start", 0 < self.gamma_start <= 1, "above 0 and at most 1"),
-            ("gamma_updates", 0 < self.gamma_updates < math.inf, "finite and greater than 0"),
-            ("angle_cut", self.angle_cut is None or 0 < self.angle_cut <= math.pi / 2, "above 0 and at most pi/2"),
-            ("episodes_per_update", self.episodes_per_update >= 1, "at least 1"),
             ("relax_from", self.relax_from >= 0, "at least 0"),
             ("relax_to", self.relax_to > self.relax_from, f"greater than relax_from = {self.relax_from}"),
-            ("relaxed_cost", 0 < self.relaxed_cost < math.inf, "finite and greater than 0"),
-            ("relaxed_sigma", 0 < self.relaxed_sigma < math.inf, "finite and greater than 0"),
+            whole=("streak", "max_episodes", "episodes_per_update"),
+            positive=("alpha", "beta", "sigma", "gamma_updates", "relaxed_cost", "relaxed_sigma"),
+            portion=("gamma", "gamma_start"),
+            angle=() if self.angle_cut is None else ("angle_cut",),
         )
 
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
@@ -331,11 +309,10 @@ def _draw_episode(K, sigma, e, rng, z, following):
         a = sigma * rng.standard_normal()
         for i in range(6):
             a -= K[i] * x[i]
-            z[k, i] = x[i]
+        z[k, :6] = x
         z[k, 6] = a
         x = moved(e, x, a)
-        for i in range(6):
-            following[k, i] = x[i]
+        following[k] = x
         if ended(e, x):
             return k + 1, True
     return len(z), False

@@ -13,11 +13,11 @@ import numpy.typing as npt
 from dpend import archive
 from dpend.controller import Act
 from dpend.params import Array
+from dpend.shaping import observe
 from dpend.state import nearest_upright, wrap
 from dpend.suggest import suggestion
 
 from .features import TABLE1, make_value_features, slope_features
-from .shaping import observe
 
 _FORMAT = "dpend policy 2"
 _TRAINED = Path(__file__).parent / "trained"
@@ -28,6 +28,8 @@ class Saved:
 
     kind: ClassVar[str]
     """What it is called in its file."""
+    saved: ClassVar[tuple[str, ...]]
+    """Attributes that are saved, which are also the arguments it is built from."""
     name: str
     """What it is called in tables."""
     about: dict[str, Any]
@@ -38,7 +40,13 @@ class Saved:
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return what is saved, by name; none of objects."""
-        raise NotImplementedError
+        return {name: np.asarray(getattr(self, name)) for name in self.saved}
+
+    @classmethod
+    def from_arrays(cls, *, about: Mapping[str, Any], **arrays: npt.NDArray[Any]) -> Any:
+        """Build a policy from what :meth:`arrays` returned."""
+        build: Any = cls
+        return build(**arrays, about=about)
 
     def save(self, path: str | Path) -> Path:
         """Write an archive of plain arrays with a checksum, to the end or not at all.
@@ -60,7 +68,8 @@ class LinearQPolicy(Saved):
     r"""Greedy law :math:`u = \arg\max_{a \in A} \hat q(s, a)` of a linear :math:`\hat q` over Table 1's features.
 
     With :math:`\hat q = c(s) + a\,g(s)` only :math:`a\,g(s)` matters, so the force is always at an end of
-    :math:`A`; where :math:`g` is zero it is the first of the set.
+    :math:`A`; where :math:`g` is zero it is the first of the set.  As in Table 1, :math:`g` has the raw angles: after a
+    whole turn this is another law.
 
     Parameters
     ----------
@@ -80,6 +89,7 @@ class LinearQPolicy(Saved):
     """
 
     kind = "linear Q"
+    saved = ("weights", "scales", "forces")
     name = "linear Q-learning"
 
     def __init__(
@@ -100,11 +110,11 @@ class LinearQPolicy(Saved):
         slope_weights = self.weights[-6:] * self.scales[-6:]
         slope_weights /= np.abs(slope_weights).max() or 1.0  # only the direction counts, and weights may be huge
         forces = self.forces
-        return lambda t, y: forces[np.argmax((slope_weights @ np.stack(slope_features(y.T)))[:, None] * forces, axis=1)]
 
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return what is saved, by name."""
-        return {"weights": self.weights, "scales": self.scales, "forces": self.forces}
+        def greedy(slope: Array) -> Array:
+            return np.where(np.isnan(slope), np.nan, forces[np.argmax(slope[:, None] * forces, axis=1)])
+
+        return lambda t, y: greedy(slope_weights @ np.stack(slope_features(y.T)))
 
 
 class GainPolicy(Saved):
@@ -124,6 +134,7 @@ class GainPolicy(Saved):
     """
 
     kind = "gain"
+    saved = ("K",)
     name = "learned gain"
 
     def __init__(self, K: npt.ArrayLike, *, about: Mapping[str, Any] | None = None) -> None:
@@ -138,10 +149,6 @@ class GainPolicy(Saved):
         K = self.K
         # A matrix product would round a row differently in batches of different size.
         return lambda t, y: -np.einsum("ij,j->i", nearest_upright(y), K)
-
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return what is saved, by name."""
-        return {"K": self.K}
 
 
 INDICATORS: Mapping[str, int] = MappingProxyType({"none": 0, "signs": 3, "cells": 8})
@@ -167,6 +174,7 @@ class TableOneMean(Saved):
     """
 
     kind = "table 1 mean"
+    saved = ("v", "indicators")
     name = "mean of Gaussian QAC"
 
     def __init__(
@@ -189,10 +197,6 @@ class TableOneMean(Saved):
             return [sign.astype(np.float64) for sign in positive]
         cell = 4 * positive[0] + 2 * positive[1] + positive[2]
         return [(cell == k).astype(np.float64) for k in range(INDICATORS[self.indicators])]
-
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return what is saved, by name."""
-        return {"v": self.v, "indicators": np.array(self.indicators)}
 
 
 # OpenBLAS splits larger products over threads, which for these costs up to a hundred times what it saves.
@@ -229,6 +233,7 @@ class Network(Saved):
     """
 
     kind = "network"
+    saved = ("activation", "squash")
 
     def __init__(
         self,
@@ -291,18 +296,10 @@ class Network(Saved):
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return what is saved, by name."""
         layers = {f"weight{i}": _shortest(weight) for i, weight in enumerate(self.weights)}
-        layers |= {f"bias{i}": _shortest(bias) for i, bias in enumerate(self.biases)}
-        return layers | {"activation": np.array(self.activation), "squash": np.array(self.squash)}
+        return super().arrays() | layers | {f"bias{i}": _shortest(bias) for i, bias in enumerate(self.biases)}
 
     @classmethod
-    def from_arrays(
-        cls,
-        *,
-        activation: npt.NDArray[Any],
-        squash: npt.NDArray[Any],
-        about: Mapping[str, Any],
-        **layers: npt.NDArray[Any],
-    ) -> Network:
+    def from_arrays(cls, *, activation: Any, squash: Any, about: Mapping[str, Any], **layers: Any) -> Network:
         """Build a network from what :meth:`arrays` returned."""
         k = len(layers) // 2
         names = [f"{kind}{i}" for kind in ("weight", "bias") for i in range(k)]
@@ -315,15 +312,15 @@ class Network(Saved):
 class MLPPolicy(Saved):
     r"""A network on scaled states, :math:`u = F\,\pi(o(y))`, held for a period of its own.
 
-    Where the network has one input more than :func:`rl.shaping.observe` returns for a state, it also sees its own last
-    action.
+    Where the network has one input more than :func:`dpend.shaping.observe` returns for a state, it also sees its own
+    last action.
 
     Parameters
     ----------
     network : Network
         :math:`\pi`; eight or nine inputs, one output.
     scales : array_like (4,)
-        What :func:`rl.shaping.observe` divides position, velocity and both rates by.
+        What :func:`dpend.shaping.observe` divides position, velocity and both rates by.
     force_limit : float
         :math:`F`, N.
     period : float
@@ -338,6 +335,7 @@ class MLPPolicy(Saved):
     """
 
     kind = "mlp"
+    saved = ("scales", "force_limit", "period")
 
     def __init__(
         self,
@@ -376,7 +374,8 @@ class MLPPolicy(Saved):
         def act(t: float, y: Array) -> Array:
             nonlocal last, due
             if t > due:
-                last = network(observe(y, scales, last if recalls else None))[:, 0]
+                action = network(observe(y, scales, last if recalls else None))[:, 0]
+                last = np.where(np.isfinite(action), action, last)  # a missing measurement must not be recalled
                 due = t + period * (1 - 1e-6)
             return force_limit * last
 
@@ -384,21 +383,11 @@ class MLPPolicy(Saved):
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return what is saved, by name."""
-        return self.network.arrays() | {
-            "scales": self.scales,
-            "force_limit": np.array(self.force_limit),
-            "period": np.array(self.period),
-        }
+        return self.network.arrays() | super().arrays()
 
     @classmethod
     def from_arrays(
-        cls,
-        *,
-        scales: npt.NDArray[Any],
-        force_limit: npt.NDArray[Any],
-        period: npt.NDArray[Any],
-        about: Mapping[str, Any],
-        **network: npt.NDArray[Any],
+        cls, *, scales: Any, force_limit: Any, period: Any, about: Mapping[str, Any], **network: Any
     ) -> MLPPolicy:
         """Build a policy from what :meth:`arrays` returned."""
         net = Network.from_arrays(about=about, **network)
@@ -407,16 +396,9 @@ class MLPPolicy(Saved):
 
 Policy = LinearQPolicy | GainPolicy | TableOneMean | MLPPolicy | Network
 
-_KINDS: Mapping[str, Callable[..., Policy]] = MappingProxyType(
-    {
-        LinearQPolicy.kind: LinearQPolicy,
-        GainPolicy.kind: GainPolicy,
-        TableOneMean.kind: TableOneMean,
-        MLPPolicy.kind: MLPPolicy.from_arrays,
-        Network.kind: Network.from_arrays,
-    }
+_KINDS: Mapping[str, type[Policy]] = MappingProxyType(
+    {each.kind: each for each in (LinearQPolicy, GainPolicy, TableOneMean, MLPPolicy, Network)}
 )
-"""What builds each kind of policy from its arrays by name, and from ``about``."""
 
 
 def load_policy(policy: str | Path) -> Policy:
@@ -452,7 +434,7 @@ def made_policy(kind: str, about: Mapping[str, Any], arrays: Mapping[str, npt.ND
     """Return the policy of a kind, with a provenance and what its ``arrays`` returned; refuse a kind unknown."""
     if kind not in _KINDS:
         raise ValueError(f"an unknown kind of policy, {kind!r}")
-    return _KINDS[kind](about=about, **arrays)
+    return _KINDS[kind].from_arrays(about=about, **arrays)
 
 
 def _shortest(array: Array) -> npt.NDArray[np.floating[Any]]:

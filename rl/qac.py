@@ -15,12 +15,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from dpend.arguments import checked_whole
-from dpend.deprecation import renamed_arguments, warn_renamed
+from dpend.deprecation import renamed_arguments
 from dpend.kernels import compiled, inline, report_cost, status_code, wrap_angle
 from dpend.rig import Rig
 from dpend.suggest import suggests
@@ -30,7 +29,7 @@ from . import features
 from ._episode import episode, moved, started
 from .natural_qac import NaturalQAC
 from .policies import INDICATORS, TableOneMean
-from .training import Outcome, Progress, Seed, Session, Training, check_ranges, training_rig
+from .training import Outcome, Progress, Seed, Session, Training, check_settings, training_rig
 
 _STREAM = 1968  # sets learning apart from starts drawn with the same seed
 _CHUNK = 500  # episodes between two looks at the keyboard and the progress bar
@@ -90,30 +89,16 @@ class GaussianQAC:
             raise TypeError(f"task must be a dpend.Balance; got {self.task!r}.")
         if self.indicators not in INDICATORS:
             raise ValueError(f"indicators must be one of {', '.join(map(repr, INDICATORS))}; got {self.indicators!r}.")
-        for name in ("streak", "max_episodes"):
-            checked_whole(name, getattr(self, name))
-        check_ranges(
+        check_settings(
             self,
-            ("alpha", 0 < self.alpha < math.inf, "finite and greater than 0"),
-            ("beta", 0 < self.beta < math.inf, "finite and greater than 0"),
-            ("sigma", 0 < self.sigma < math.inf, "finite and greater than 0"),
-            ("gamma", 0 < self.gamma <= 1, "above 0 and at most 1"),
-            ("init_std", 0 <= self.init_std < math.inf, "finite and at least 0"),
+            whole=("streak", "max_episodes"),
+            positive=("alpha", "beta", "sigma"),
+            nonnegative=("init_std",),
+            portion=("gamma",),
         )
 
     @classmethod
-    def published(
-        cls,
-        rig: Rig | str,
-        *,
-        alpha: float = 1e-4,
-        beta: float = 1e-4,
-        variance: float = 1.0,
-        init_std: float = 0.0,
-        indicators: str = "none",
-        max_episodes: int = 2000,
-        spread: float | None = None,
-    ) -> GaussianQAC:
+    def published(cls, rig: Rig | str, *, variance: float = 1.0, **settings: Any) -> GaussianQAC:
         r"""Return the report's learner to the letter, with a choice of what the report tried.
 
         The cost is that of the code published with it, and link 1 alone falls.
@@ -122,31 +107,14 @@ class GaussianQAC:
         ----------
         rig : Rig or str
             The rig, or the name of a preset.
-        alpha, beta : float
-            Step sizes; the report tried values within 1e-8 and 1e-1.
         variance : float
             :math:`\sigma^2`, N²; the report tried values within 0.001 and 10.
-        init_std : float
-            Standard deviation of the initial weights.
-        indicators : {"none", "signs", "cells"}
-            Further features.
-        max_episodes : int
-            Budget of learning episodes.
-        spread : float, optional
-            The name that ``init_std`` had.
+        **settings
+            Others of the class; of both step sizes the report tried values within 1e-8 and 1e-1.
         """
-        if spread is not None:
-            warn_renamed("GaussianQAC.published(spread=...)", "GaussianQAC.published(init_std=...)")
-            init_std = spread
         return cls(
             training_rig(rig, "GaussianQAC"),
-            task=Balance(criterion="report"),
-            alpha=alpha,
-            beta=beta,
-            sigma=math.sqrt(variance),
-            init_std=init_std,
-            indicators=indicators,
-            max_episodes=max_episodes,
+            **{"task": Balance(criterion="report"), "sigma": math.sqrt(variance)} | settings,
         )
 
     @staticmethod
@@ -217,8 +185,7 @@ _slope_features = inline(features.slope_features)
 def _write_features(x, indicators, phi, slope):
     """Write the features of a state: those of actor and critic, and the critic's factors of the action."""
     value = _value_features(x)
-    for i in range(12):
-        phi[i] = value[i]
+    phi[:12] = value
     if indicators == 3:
         for i in range(3):
             phi[12 + i] = 1.0 if value[2 * i + 1] > 0.0 else 0.0
@@ -226,9 +193,7 @@ def _write_features(x, indicators, phi, slope):
         cell = (4 if value[1] > 0.0 else 0) + (2 if value[3] > 0.0 else 0) + (1 if value[5] > 0.0 else 0)
         for i in range(8):
             phi[12 + i] = 1.0 if i == cell else 0.0
-    raw = _slope_features(x)
-    for i in range(6):
-        slope[i] = raw[i]
+    slope[:] = _slope_features(x)
 
 
 @inline

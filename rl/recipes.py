@@ -1,14 +1,13 @@
 r"""Recipes of deep reinforcement learning: everything that a training depends on but its seed, and its environments.
 
-:mod:`rl.deep` follows them; what is seen and rewarded is stated in :mod:`rl.shaping`.
+:mod:`rl.deep` follows them; what is seen and rewarded is stated in :mod:`dpend.shaping`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import wraps
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Optional, TypeVar
 
@@ -17,15 +16,13 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import dpend
-from dpend.arguments import checked_whole
-from dpend.deprecation import warn_renamed
 from dpend.rig import Rig, as_rig
+from dpend.shaping import LONGEST_HOLD, Mixture
 from dpend.suggest import suggestion, suggests
 from dpend.tasks import Balance, SwingUp
 from dpend.vector_env import CartDoublePendulumVectorEnv
 
-from .shaping import Shaped
-from .training import check_ranges
+from .training import check_settings, is_vector
 
 Value = TypeVar("Value")
 if TYPE_CHECKING:
@@ -53,31 +50,16 @@ EPISODE = 10.0
 ROLLOUT = 64
 """Steps that PPO takes in every copy between two rounds of updates."""
 
-_LONGEST_HOLD = 0.04  # s
-_OFF_POLICY: dict[str, Any] = {
-    "steps": 300_000,
-    "copies": 16,
-    "batch": 256,
-    "learning_rate": (1e-3, 1e-4),
-    "updates": 0.5,
-    "noise": 0.2,
-    "evaluate_every": 10_000,
-}
+
+def _defaults(*values: Any) -> dict[str, Any]:
+    names = "steps", "copies", "batch", "learning_rate", "updates", "noise", "evaluate_every"
+    return dict(zip(names, values, strict=True))
+
+
+_OFF_POLICY = _defaults(300_000, 16, 256, (1e-3, 1e-4), 0.5, 0.2, 10_000)
 DEFAULTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
-    {
-        "ppo": {
-            "steps": 8_000_000,
-            "copies": 512,
-            "batch": 1024,
-            "learning_rate": (1e-3, 5e-5),
-            "updates": 4 / 1024,
-            "noise": math.exp(-0.5),
-            "evaluate_every": 262_144,
-        },
-        "ddpg": _OFF_POLICY,
-        "td3": _OFF_POLICY,
-        "sac": _OFF_POLICY,
-    }
+    {"ppo": _defaults(8_000_000, 512, 1024, (1e-3, 5e-5), 4 / 1024, math.exp(-0.5), 262_144)}
+    | dict.fromkeys(("ddpg", "td3", "sac"), _OFF_POLICY)
 )
 """What a recipe takes for settings that are left out, by algorithm."""
 
@@ -85,95 +67,41 @@ DEFAULTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 @suggests
 @dataclass(frozen=True, kw_only=True)
 class PPOSettings:
-    """What only PPO knows.
-
-    Parameters
-    ----------
-    target_kl : float, optional
-        A round of updates ends early where they have moved the policy by 1.5 times this Kullback-Leibler divergence,
-        nats; left out, never.
-    caps : (float, float, float), optional
-        Conditioning for action policy smoothness (Mysore et al. 2021) in the loss: weights of the temporal and of
-        the spatial term, and the standard deviation of the spatial one.
-    """
+    """What only PPO knows."""
 
     target_kl: float | None = None
+    """A round of updates ends early where they have moved the policy by 1.5 times this Kullback-Leibler divergence,
+    nats; left out, never."""
     caps: tuple[float, float, float] | None = None
+    """Conditioning for action policy smoothness (Mysore et al. 2021) in the loss: weights of the temporal and of the
+    spatial term, and the standard deviation of the spatial one."""
 
     def __post_init__(self) -> None:
-        check_ranges(
-            self,
-            ("target_kl", self.target_kl is None or 0 < self.target_kl < math.inf, "greater than 0, or None"),
-            ("caps", self.caps is None or (len(self.caps) == 3 and min(self.caps) >= 0), "three numbers, at least 0"),
-        )
+        caps_good = self.caps is None or is_vector(self.caps, 3, 0.0)
+        check_settings(self, ("caps", caps_good, "three numbers, at least 0"), positive=("target_kl",))
 
 
 @suggests
 @dataclass(frozen=True, kw_only=True)
 class OffPolicySettings:
-    """What only DDPG, TD3 and SAC know.
-
-    Parameters
-    ----------
-    first_actions : float
-        Factor on the last layer of the actor before anything is learned; a small one begins with
-        hardly any force, as the DDPG paper does.
-    library : {"torch", "jax"}
-        What computes: Stable-Baselines3 in torch, or its sibling SBX in JAX, the same algorithms
-        compiled.
-    layer_norm : bool
-        Whether the critics normalise their layers.
-    mirror : bool
-        Whether to learn from transitions and their mirror images, each half the time; the plant and the
-        reward know no left and right.
-    """
+    """What only DDPG, TD3 and SAC know."""
 
     first_actions: float = 1.0
+    """Factor on the last layer of the actor before anything is learned; a small one begins with hardly any force, as
+    the DDPG paper does."""
     library: Literal["torch", "jax"] = "torch"
+    """What computes: Stable-Baselines3 in torch, or its sibling SBX in JAX, the same algorithms compiled."""
     layer_norm: bool = True
+    """Whether the critics normalise their layers."""
     mirror: bool = False
+    """Whether to learn from transitions and their mirror images, each half the time; plant and reward know no side."""
 
     def __post_init__(self) -> None:
         if self.library not in NEEDED:
             raise ValueError(f"There is no library {self.library!r}.{suggestion(str(self.library), NEEDED)}")
-        check_ranges(self, ("first_actions", 0 < self.first_actions <= 1, "above 0, at most 1"))
+        check_settings(self, portion=("first_actions",))
 
 
-_OWN: Mapping[str, tuple[str, type]] = MappingProxyType(
-    {
-        each.name: (holder, kind)
-        for holder, kind in (("ppo", PPOSettings), ("off_policy", OffPolicySettings))
-        for each in fields(kind)
-    }
-)
-"""Where each setting of some algorithms alone is kept."""
-
-
-def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings with those of some algorithms alone where they are kept."""
-    nested = {name: value for name, value in settings.items() if name not in _OWN}
-    for name in settings.keys() & _OWN.keys():
-        holder, kind = _OWN[name]
-        nested[holder] = replace(nested.get(holder, kind()), **{name: settings[name]})
-    return nested
-
-
-def _takes_flat_settings(recipe: type[Value]) -> type[Value]:
-    """Let a recipe still take the settings of some algorithms alone as its own, with a warning."""
-    build: Callable[..., None] = recipe.__init__
-
-    @wraps(build)
-    def __init__(self: Any, *args: Any, **keywords: Any) -> None:
-        for name in keywords.keys() & _OWN.keys():
-            holder, kind = _OWN[name]
-            warn_renamed(f"DeepRecipe({name}=...)", f"DeepRecipe({holder}={kind.__name__}({name}=...))")
-        build(self, *args, **_nested(keywords))
-
-    recipe.__init__ = __init__
-    return recipe
-
-
-@_takes_flat_settings
 @suggests
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DeepRecipe:
@@ -278,20 +206,18 @@ class DeepRecipe:
         self._fill(**DEFAULTS[self.algo])
         if not self.env:
             self._check_plant()
-        for name in ("steps", "copies", "batch", "evaluate_every", "evaluation_starts"):
-            checked_whole(name, getattr(self, name))
-        noise, wanted = (self.noise > 0, "greater than 0") if self.algo == "ppo" else (self.noise >= 0, "at least 0")
-        check_ranges(
+        rates_good = is_vector(self.learning_rate, 2) and min(self.learning_rate) > 0
+        may_be_zero = self.algo != "ppo"
+        check_settings(
             self,
-            ("learning_rate", len(self.learning_rate) == 2 and min(self.learning_rate) > 0, "two numbers above 0"),
-            ("updates", 0 < self.updates < math.inf, "greater than 0"),
+            ("learning_rate", rates_good, "two numbers above 0"),
             ("gamma", 0 < self.gamma < 1, "between 0 and 1"),
-            ("noise", noise and self.noise < math.inf, wanted),
-            ("near", 0 < self.near <= math.pi / 2, "above 0, at most π/2"),
-            ("action_rate", 0 <= self.action_rate < math.inf, "at least 0"),
-            ("sensor_noise", self.sensor_noise is None or 0 <= self.sensor_noise < math.inf, "at least 0"),
-            ("enough", self.enough is None or 0 <= self.enough <= 1, "within 0 and 1"),
             ("net", len(self.net) > 0 and min(self.net) >= 1, "one or more widths, at least 1"),
+            whole=("steps", "copies", "batch", "evaluate_every", "evaluation_starts"),
+            positive=("updates", *["noise"] * (not may_be_zero)),
+            nonnegative=("action_rate", "sensor_noise", *["noise"] * may_be_zero),
+            share=("enough",),
+            angle=("near",),
         )
         self._check_own()
         if self.near != type(self).near and (self.env or self.task != "swing-up" or self.starts != "mixed"):
@@ -315,7 +241,7 @@ class DeepRecipe:
                 "Set it with rig.replace(force_limit=...), in N."
             )
         swing = self.task == "swing-up"
-        longest = _LONGEST_HOLD if swing and rig.ideal else rig.sample_time
+        longest = LONGEST_HOLD if swing and rig.ideal else rig.sample_time
         self._fill(
             period=max(int(longest / rig.sample_time + 1e-9), 1) * rig.sample_time,
             episode=EPISODE if swing else Balance().steps * rig.sample_time,
@@ -329,7 +255,7 @@ class DeepRecipe:
                 "Forces can be held for several samples on ideal rigs only; got one with lag, delay, noise or "
                 f"rounding: expected period = {rig.sample_time:g} s, the sample time."
             )
-        check_ranges(self, ("episode", 0 < self.episode < math.inf, "greater than 0"))
+        check_settings(self, positive=("episode",))
 
     def _check_own(self) -> None:
         """Refuse settings that this algorithm, or another environment, does not know."""
@@ -381,15 +307,19 @@ class DeepRecipe:
 
         Records from before None meant default hold the settings of all algorithms, and zeros for what was left out.
         """
-        settings = {name: tuple(value) if isinstance(value, list) else value for name, value in record.items()}
+        settings: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in record.items()
+        }
         if {"caps", "layer_norm"} <= settings.keys():
-            holder = "ppo" if settings["algo"] == "ppo" else "off_policy"
-            settings = {
-                name: None if name in _ZERO_WAS_NONE and not np.any(value) else value
-                for name, value in settings.items()
-                if name not in _OWN or _OWN[name][0] == holder
-            }
-        return cls(**_nested(settings | {"rig": Rig.from_dict(record["rig"])}))
+            settings |= {name: settings.get(name) or None for name in _ZERO_WAS_NONE}
+            if not any(settings["caps"] or ()):
+                settings["caps"] = None
+        for kind in (PPOSettings, OffPolicySettings):
+            own = {each.name: settings.pop(each.name) for each in fields(kind) if each.name in settings}
+            if (kind is PPOSettings) == (settings.get("algo", "ppo") == "ppo"):
+                settings["ppo" if kind is PPOSettings else "off_policy"] = kind(**own)
+        settings["rig"] = Rig.from_dict(record["rig"])
+        return cls(**settings)
 
 
 _ZERO_WAS_NONE = ("env", "period", "episode", "target_kl", "caps", "sensor_noise", "enough")
@@ -429,5 +359,7 @@ def training_envs(recipe: DeepRecipe) -> gym.vector.VectorEnv[Any, Any, Any]:
         mixture = [SwingUp(start=start, angle_spread=0.1) for start in ("hanging", "side")]
         if recipe.starts == "mixed":
             mixture = [*mixture, Balance(lam=recipe.near), SwingUp(start="anywhere")]
-    shaped = Shaped(task=task, rig=rig, mixture=mixture, steps=max(round(recipe.episode / recipe.period), 1))
-    return CartDoublePendulumVectorEnv(shaped, slow, recipe.copies, autoreset_mode=AutoresetMode.SAME_STEP)
+    mixed = Mixture(task=task, mixture=mixture, steps=max(round(recipe.episode / recipe.period), 1))
+    return CartDoublePendulumVectorEnv(
+        mixed, slow, recipe.copies, reward="shaped", autoreset_mode=AutoresetMode.SAME_STEP
+    )

@@ -27,21 +27,20 @@ from stable_baselines3.td3.policies import TD3Policy
 
 from dpend.archive import atomic
 from dpend.params import Array
+from dpend.shaping import nearness, observation_scales, observe
 
 from .policies import Network
 from .recipes import ROLLOUT, DeepRecipe, training_envs
-from .shaping import nearness, observation_scales, observe
 
-_EFFORT = 0.005
 _WARM_UP = 5000  # steps of random actions before DDPG, TD3 and SAC learn
 
 
 class Copies(VecEnv):
     r"""A Gymnasium vector environment as Stable-Baselines3 wants it.
 
-    On our plant, observations are :func:`rl.shaping.observe`'s, and :math:`\tfrac{1}{200}a_t^2` and
-    :math:`w\,|a_t - a_{t-1}|\,e^{-5(2 - \cos\theta_1 - \cos\theta_2)}` are taken off the reward; an episode begins
-    with :math:`a_{-1} = 0`.  The attribute ``grown`` says which share of the recipe's weight :math:`w` is now.
+    On our plant, observations are :func:`dpend.shaping.observe`'s, and
+    :math:`w\,|a_t - a_{t-1}|\,e^{-5(2 - \cos\theta_1 - \cos\theta_2)}` is taken off the reward; an episode begins with
+    :math:`a_{-1} = 0`.  The attribute ``grown`` says which share of the recipe's weight :math:`w` is now.
 
     Parameters
     ----------
@@ -92,13 +91,11 @@ class Copies(VecEnv):
         if len(rows):
             arrived = np.array(y)
             arrived[rows] = np.stack(list(seen["final_obs"][rows]))
-        if self._own:
+        if last is not None:
             a = np.clip(self._actions[:, 0].astype(np.float64), -1.0, 1.0)
-            rewards = rewards - _EFFORT * a**2
-            if last is not None:
-                near = nearness(np.cos(arrived[:, 1]), np.cos(arrived[:, 2]))
-                rewards -= self.grown * self._action_rate * np.abs(a - last) * near
-                last = self._last = a
+            near = nearness(np.cos(arrived[:, 1]), np.cos(arrived[:, 2]))
+            rewards = rewards - self.grown * self._action_rate * np.abs(a - last) * near
+            last = self._last = a
         infos = self._nothing
         if len(rows):
             infos = self._nothing.copy()
@@ -200,35 +197,26 @@ class CAPSPolicy(ActorCriticPolicy):
         return self.action_net(self.mlp_extractor.forward_actor(observations)).clamp(-1.0, 1.0)
 
 
-def _normalised(critic: ContinuousCritic, width: int, net: Sequence[int]) -> ContinuousCritic:
-    """Return a critic whose hidden layers are normalised before they are activated."""
-    for i in range(len(critic.q_networks)):
-        layers = create_mlp(width, 1, list(net), torch.nn.ReLU, post_linear_modules=[torch.nn.LayerNorm])
-        critic.q_networks[i] = torch.nn.Sequential(*layers)
-        critic.add_module(f"qf{i}", critic.q_networks[i])
-    return critic
+class _Normalised:
+    """Critics whose hidden layers are normalised before they are activated."""
+
+    def make_critic(self: Any, features_extractor: Any = None) -> ContinuousCritic:
+        """Return a critic."""
+        critic = super().make_critic(features_extractor)  # type: ignore[misc]  # of the policy that it is mixed into
+        width = int(np.prod(self.observation_space.shape)) + int(np.prod(self.action_space.shape))
+        for i in range(len(critic.q_networks)):
+            layers = create_mlp(width, 1, list(self.net_arch), torch.nn.ReLU, post_linear_modules=[torch.nn.LayerNorm])
+            critic.q_networks[i] = torch.nn.Sequential(*layers)
+            critic.add_module(f"qf{i}", critic.q_networks[i])
+        return critic
 
 
-class NormalisedTD3Policy(TD3Policy):
+class NormalisedTD3Policy(_Normalised, TD3Policy):
     """Actor and critics of DDPG and TD3, with layer normalisation in the critics."""
 
-    def make_critic(self, features_extractor: Any = None) -> ContinuousCritic:
-        """Return a critic."""
-        critic = super().make_critic(features_extractor)
-        return _normalised(critic, _width(self), cast(Any, self.net_arch))
 
-
-class NormalisedSACPolicy(SACPolicy):
+class NormalisedSACPolicy(_Normalised, SACPolicy):
     """Actor and critics of SAC, with layer normalisation in the critics."""
-
-    def make_critic(self, features_extractor: Any = None) -> ContinuousCritic:
-        """Return a critic."""
-        critic = super().make_critic(features_extractor)
-        return _normalised(critic, _width(self), cast(Any, self.net_arch))
-
-
-def _width(policy: Any) -> int:
-    return int(np.prod(policy.observation_space.shape)) + int(np.prod(policy.action_space.shape))
 
 
 class Learner:

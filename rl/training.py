@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from dpend.arguments import checked_whole, is_finite
 from dpend.controller import Controller
-from dpend.deprecation import warn_renamed
 from dpend.params import Array
 from dpend.provenance import versions
 from dpend.rig import Rig, single_rig
@@ -146,28 +146,6 @@ class Training:
         rows = np.unique(np.geomspace(1 if n > 1 else last, last, min(n, last)).round().astype(int)) - 1
         return [Snapshot(float(experience[k]), policy(weights[k])) for k in rows]
 
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> Any:
-            """Return what results of one learner alone once had, with a warning."""
-            holder, key = _RENAMED.get(name, ("", ""))
-            found = self.__dict__.get(holder)
-            if isinstance(found, Cost):
-                found = vars(found)
-            if found is None or key not in found:
-                raise AttributeError(f"'Training' object has no attribute {name!r}")
-            new = f"{holder}.{key}" if holder == "cost" else f"{holder}[{key!r}]"
-            warn_renamed(f"Training.{name}", f"Training.{new}")
-            return found[key]
-
-
-_RENAMED: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {name: ("cost", name) for name in ("episodes", "steps", "test_steps")}
-    | {"seconds": ("cost", "cpu_seconds"), "lengths": ("curve", "length"), "rewards": ("curve", "reward")}
-    | {"succeeded": ("curve", "success"), "upright": ("curve", "upright"), "tested": ("curve", "tested")}
-    | {name: ("details", name) for name in ("restarts", "weights", "gains", "samples", "updated", "v", "w", "best")}
-)
-
 
 @runtime_checkable
 class Learner(Protocol):
@@ -230,11 +208,43 @@ def training_rig(rig: Rig | str, learner: str) -> Rig:
     return rig
 
 
-def check_ranges(settings: object, *rules: tuple[str, bool, str]) -> None:
-    """Refuse the first setting out of its range: of each its name, whether it is good, and what was expected."""
+_RANGES: Mapping[str, tuple[Callable[[float], bool], str]] = MappingProxyType(
+    {
+        "positive": (lambda value: value > 0, "finite and greater than 0"),
+        "nonnegative": (lambda value: value >= 0, "finite and at least 0"),
+        "portion": (lambda value: 0 < value <= 1, "above 0 and at most 1"),
+        "share": (lambda value: 0 <= value <= 1, "within 0 and 1"),
+        "angle": (lambda value: 0 < value <= math.pi / 2, "above 0 and at most pi/2"),
+    }
+)
+"""Ranges of settings by name: what is within, and how it is called."""
+
+
+def check_settings(
+    settings: object, *rules: tuple[str, bool, str], whole: Sequence[str] = (), **ranges: Sequence[str]
+) -> None:
+    """Refuse the first setting out of its range, unless it is None and None is its default.
+
+    Each rule has the setting's name, whether it is good, and what was expected; ``whole`` names settings that are whole
+    numbers, at least 1; the others are named by their range, one of ``_RANGES``.
+    """
+    named = [(name, kind) for kind, names in (("whole", whole), *ranges.items()) for name in names]
+    for name, kind in named:
+        value = getattr(settings, name)
+        if value is None and getattr(type(settings), name, ...) is None:
+            continue
+        if kind == "whole":
+            checked_whole(name, value)
+        elif not (is_finite(value) and _RANGES[kind][0](value)):
+            raise ValueError(f"{name} must be {_RANGES[kind][1]}; got {value!r}.")
     for name, good, wanted in rules:
         if not good:
             raise ValueError(f"{name} must be {wanted}; got {getattr(settings, name)!r}.")
+
+
+def is_vector(values: Sequence[float], n: int, least: float = -math.inf) -> bool:
+    """Return whether values are ``n`` finite numbers, at least the least."""
+    return len(values) == n and all(is_finite(value) and value >= least for value in values)
 
 
 def samples_within(seconds: float | None, sample_time: float) -> int:

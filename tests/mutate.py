@@ -32,7 +32,7 @@ OWN_TESTS = {"ilqr_kernels": "ilqr", "kernels": "equations", "plant": "equations
 class Options:
     """What to change, and how often."""
 
-    modules: tuple[str, ...] = ("dpend/*.py", "controllers/ilqr*.py", "rl/shaping.py", "studies/_estimates.py")
+    modules: tuple[str, ...] = ("dpend/*.py", "controllers/ilqr*.py", "studies/_estimates.py")
     """Patterns of the files to change."""
     sample: int = 100
     """How many mutants."""

@@ -14,6 +14,7 @@ import pytest
 
 import dpend
 from dpend import archive
+from dpend.shaping import observation_scales, observe
 from dpend.vector_env import CartDoublePendulumVectorEnv
 from rl import DeepLearner, DeepRecipe, MLPPolicy, Network, Outcome, load_policy, train_deep
 from rl.deep import (
@@ -30,7 +31,6 @@ from rl.deep import (
 )
 from rl.deep import _write_curve as write_curve
 from rl.recipes import DEFAULTS, INSTALL, NEEDED, OffPolicySettings, PPOSettings, training_envs
-from rl.shaping import observation_scales, observe
 from tests.rigs import whole
 
 ROOT = Path(__file__).parent.parent
@@ -113,7 +113,7 @@ def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_bala
         ({"steps": -1}, "steps must be a whole number, at least 1; got -1."),
         ({"gamma": 1.0}, "gamma must be between 0 and 1; got 1.0."),
         ({"net": ()}, "net must be one or more widths, at least 1; got ()."),
-        ({"action_rate": -1.0}, "action_rate must be at least 0; got -1.0."),
+        ({"action_rate": -1.0}, "action_rate must be finite and at least 0; got -1.0."),
         ({"algo": "sac"} | ppo(caps=(1.0, 1.0, 0.1)), "caps is for PPO; got algo 'sac'. Use action_rate."),
         ({"period": 0.03}, "period must be a whole number of samples of 0.02 s; got 0.03 s."),
         (
@@ -126,17 +126,17 @@ def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_bala
             {"env": "InvertedDoublePendulum-v5", "action_rate": 1.0},
             "action_rate is for our own plant; got env 'InvertedDoublePendulum-v5'.",
         ),
-        ({"sensor_noise": -0.1}, "sensor_noise must be at least 0; got -0.1."),
+        ({"sensor_noise": -0.1}, "sensor_noise must be finite and at least 0; got -0.1."),
         (off_policy(first_actions=0.1), "first_actions is for DDPG, TD3 and SAC; got algo 'ppo'. Use noise."),
-        ({"episode": 0.0}, "episode must be greater than 0; got 0.0."),
+        ({"episode": 0.0}, "episode must be finite and greater than 0; got 0.0."),
         ({"period": 0.0}, "period must be a whole number of samples of 0.02 s; got 0 s."),
         ({"steps": 0}, "steps must be a whole number, at least 1; got 0."),
-        ({"noise": 0.0}, "noise must be greater than 0; got 0.0."),
+        ({"noise": 0.0}, "noise must be finite and greater than 0; got 0.0."),
         ({"learning_rate": (0.0, 0.0)}, "learning_rate must be two numbers above 0; got (0.0, 0.0)."),
         ({"algo": "sac"} | ppo(target_kl=0.02), "target_kl is for PPO; got algo 'sac'."),
         ({"near": 0.2, "starts": "rest"}, "near is for mixed starts of the swing-up; got 'rest' of 'swing-up'."),
         ({"near": 0.2, "task": "balance"}, "near is for mixed starts of the swing-up; got 'mixed' of 'balance'."),
-        ({"near": 0.0}, "near must be above 0, at most π/2; got 0.0."),
+        ({"near": 0.0}, "near must be above 0 and at most pi/2; got 0.0."),
         (off_policy(library="jax"), "library is for DDPG, TD3 and SAC; got algo 'ppo'."),
         (off_policy(mirror=True), "mirror is for DDPG, TD3 and SAC; got algo 'ppo'."),
         (
@@ -153,9 +153,9 @@ def test_recipes_that_make_no_sense_are_refused(changes, message):
 @pytest.mark.parametrize(
     ("kind", "changes", "message"),
     [
-        (PPOSettings, {"target_kl": 0.0}, "target_kl must be greater than 0, or None; got 0.0."),
+        (PPOSettings, {"target_kl": 0.0}, "target_kl must be finite and greater than 0; got 0.0."),
         (PPOSettings, {"caps": (1.0, 1.0)}, "caps must be three numbers, at least 0; got (1.0, 1.0)."),
-        (OffPolicySettings, {"first_actions": 0.0}, "first_actions must be above 0, at most 1; got 0.0."),
+        (OffPolicySettings, {"first_actions": 0.0}, "first_actions must be above 0 and at most 1; got 0.0."),
         (OffPolicySettings, {"library": "tensorflow"}, "There is no library 'tensorflow'. Known: jax, torch."),
     ],
 )
@@ -289,20 +289,6 @@ def test_a_training_that_is_kept_reads_like_one_that_has_just_ended(tmp_path):
     assert snapshot.experience == training.experience
 
 
-@pytest.mark.parametrize("name", ["caps", "mirror"])
-def test_settings_of_one_algorithm_are_still_taken_by_their_old_place_with_a_warning(name):
-    kind, holder, algo, value = (
-        (PPOSettings, "ppo", "ppo", (1.0, 1.0, 0.1))
-        if name == "caps"
-        else (OffPolicySettings, "off_policy", "sac", True)
-    )
-    given: dict[str, Any] = {name: value}
-    message = rf"^DeepRecipe\({name}=...\) is now called DeepRecipe\({holder}={kind.__name__}\({name}=...\)\);"
-    with pytest.warns(DeprecationWarning, match=message):
-        recipe = DeepRecipe(algo=algo, **given)
-    assert getattr(recipe, holder) == kind(**given)
-
-
 def test_half_the_swing_ups_start_hanging_and_half_to_the_side():
     starts = swing_up_starts(np.random.default_rng(0), 10, RIG)
     assert np.abs(starts[:5, 1:3] - np.pi).max() <= 0.05
@@ -361,7 +347,7 @@ def test_the_adapter_gives_the_observations_and_rewards_of_its_equations(action_
         a = actions[:, 0].astype(float)
         cos1, cos2 = np.cos(np.where((terminated | truncated)[:, None], finals(said), y)[:, 1:3]).T
         near = np.exp(-5.0 * (2.0 - cos1 - cos2))
-        expected = expected - 0.005 * a**2 - 0.6 * action_rate * np.abs(a - last) * near
+        expected = expected - 0.6 * action_rate * np.abs(a - last) * near
         np.testing.assert_allclose(rewards, expected, rtol=1e-6, atol=1e-6)
         np.testing.assert_array_equal(dones, terminated | truncated)
         for i in np.flatnonzero(dones):
@@ -660,8 +646,8 @@ def test_the_command_line_refuses_bad_settings_before_anything_runs(capsys):
 
     for arguments, message in (
         (["--rig", "gustafson2016"], "There is no preset rig 'gustafson2016'."),
-        (["--seeds", "0"], "--seeds must be at least 1; got 0."),
-        (["--workers", "0"], "--workers must be at least 1; got 0."),
+        (["--seeds", "0"], "--seeds must be a whole number, at least 1; got 0."),
+        (["--workers", "0"], "--workers must be a whole number, at least 1; got 0."),
         (["--gamma", "1"], "gamma must be between 0 and 1; got 1.0."),
     ):
         with pytest.raises(SystemExit, match="2"):

@@ -55,12 +55,6 @@ def test_an_argument_is_taken_and_read_by_its_old_name_with_a_warning(build, old
         assert getattr(built, old) is getattr(built, new)
 
 
-def test_the_published_learner_is_built_by_the_old_name_with_a_warning():
-    message = r"GaussianQAC\.published\(spread=\.\.\.\) is now called GaussianQAC\.published\(init_std=\.\.\.\)"
-    with pytest.warns(DeprecationWarning, match=message):
-        assert rl.GaussianQAC.published(RIG, spread=2.0).init_std == 2.0
-
-
 def test_a_name_that_never_was_is_no_attribute():
     with pytest.raises(AttributeError, match="module 'controllers' has no attribute 'Chatch'"):
         controllers.Chatch  # noqa: B018

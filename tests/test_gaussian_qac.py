@@ -230,7 +230,7 @@ def test_settings_that_make_no_sense_are_refused(changes, message):
         ({"gamma_start": 0.0}, "gamma_start must be above 0 and at most 1; got 0.0."),
         ({"gamma_updates": 0.0}, "gamma_updates must be finite and greater than 0; got 0.0."),
         ({"angle_cut": 2.0}, "angle_cut must be above 0 and at most pi/2; got 2.0."),
-        ({"episodes_per_update": 0}, "episodes_per_update must be at least 1; got 0."),
+        ({"episodes_per_update": 0}, "episodes_per_update must be a whole number, at least 1; got 0."),
         ({"relax_from": -1}, "relax_from must be at least 0; got -1."),
         ({"relax_to": 80}, "relax_to must be greater than relax_from = 80; got 80."),
         ({"relaxed_cost": 0.0}, "relaxed_cost must be finite and greater than 0; got 0.0."),

@@ -152,11 +152,11 @@ def test_features_of_scale_zero_keep_weight_zero():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"alpha": 0.0}, "alpha must be greater than 0; got 0.0."),
-        ({"alpha_decay": -1.0}, "alpha_decay must be at least 0; got -1.0."),
+        ({"alpha": 0.0}, "alpha must be finite and greater than 0; got 0.0."),
+        ({"alpha_decay": -1.0}, "alpha_decay must be finite and at least 0; got -1.0."),
         ({"gamma": 1.5}, "gamma must be above 0 and at most 1; got 1.5."),
         ({"epsilon": -0.1}, "epsilon must be within 0 and 1; got -0.1."),
-        ({"epsilon_decay": -0.1}, "epsilon_decay must be at least 0; got -0.1."),
+        ({"epsilon_decay": -0.1}, "epsilon_decay must be finite and at least 0; got -0.1."),
         ({"streak": 0}, "streak must be a whole number, at least 1; got 0."),
         ({"acceptance_episodes": 0}, "acceptance_episodes must be a whole number, at least 1; got 0."),
         ({"restart_after": 0}, "restart_after must be a whole number, at least 1; got 0."),

@@ -11,9 +11,9 @@ import pytest
 
 import dpend
 from dpend.archive import _checksum
+from dpend.shaping import observe
 from rl import LinearQPolicy, MLPPolicy, Network, TableOneMean, load_policy
 from rl.deep import evaluate
-from rl.shaping import observe
 
 RIG = dpend.rig("gustafsson2016")
 
@@ -79,6 +79,26 @@ def test_a_network_with_nine_inputs_sees_its_last_action():
         np.testing.assert_array_equal(act(0.02 * k, y[k]), 40.0 * last)
 
 
+LAWS = {kind: law for kind, law in SAVED.items() if kind != "network"} | {"recalling": policy(9, period=0.02)}
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_after_a_missing_measurement_a_policy_acts_as_if_nothing_had_happened(kind):
+    act = LAWS[kind].start(3, np.random.default_rng(0))
+    y = states(3)
+    act(0.0, y)
+    broken = y.copy()
+    broken[1] = np.nan
+    assert np.isfinite(act(0.1, broken)[[0, 2]]).all()
+    assert np.isfinite(act(0.2, y)).all()
+
+
+def test_a_policy_that_misses_a_measurement_has_no_force_of_its_own():
+    y = np.full((1, 6), np.nan)
+    for kind in ("linear Q", "table 1 mean"):
+        assert np.isnan(SAVED[kind].start(1, np.random.default_rng(0))(0.0, y)).all()
+
+
 @pytest.mark.parametrize("kind", SAVED)
 def test_what_was_saved_comes_back_to_the_bit(kind, tmp_path):
     saved = SAVED[kind]
@@ -91,7 +111,7 @@ def test_what_was_saved_comes_back_to_the_bit(kind, tmp_path):
 def refused(file):
     with pytest.raises(
         ValueError,
-        match=rf"^{re.escape(str(file))} cannot be read as 'dpend policy 2': .+\. Save it anew, or copy it again\.$",
+        match=rf"^{re.escape(str(file))} cannot be read as 'dpend policy 2': .+\. Save it again, or copy it afresh\.$",
     ) as caught:
         load_policy(file)
     return str(caught.value)

@@ -3,25 +3,29 @@
 import math
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import dpend
 from dpend import Balance, SwingUp
-from rl.shaping import Shaped, observation_scales, observe
+from dpend.shaping import Mixture, observation_scales, observe, shaped_reward
 
 RIG = dpend.rig("gustafsson2016")
-SHAPED = Shaped(task=SwingUp(), rig=RIG, mixture=[SwingUp(), Balance()], steps=100)
+MIXED = Mixture(task=SwingUp(), mixture=[SwingUp(), Balance()], steps=100)
 
 
 def some_states(n=200, seed=0):
     return np.random.default_rng(seed).normal(scale=(1, 3, 3, 3, 5, 5), size=(n, 6))
 
 
-def reward(x):
-    return -SHAPED.cost(x, np.zeros(len(x), dtype=np.uint8))
+def reward(x, share: npt.ArrayLike = 0.0, code: npt.ArrayLike = 0, rig=RIG):
+    n = len(x)
+    return shaped_reward(
+        rig, x, np.broadcast_to(np.asarray(share) * rig.force_limit, n), np.broadcast_to(np.asarray(code, np.uint8), n)
+    )
 
 
-def published_reward(x, failed, end_of_track, gravity, length1, length2) -> float:
+def published_reward(x, share, failed, end_of_track, gravity, length1, length2) -> float:
     """The reward as docs/deep-rl.md prints it, of one state, in Python's own numbers."""
     pos, th1, th2, _, om1, om2 = map(float, x)
     reach = length1 * math.cos(th1) + length2 * math.cos(th2)
@@ -30,20 +34,21 @@ def published_reward(x, failed, end_of_track, gravity, length1, length2) -> floa
     settled = math.exp(-2 * (om1**2 + om2**2) / s_om2)
     upright = math.exp(-10 + 5 * math.cos(th1) + 5 * math.cos(th2))
     share_of_track = min(abs(pos) / end_of_track, 1)
-    return (height * (1 + settled) / 4 + upright / 2) * (1 - 0.3 * share_of_track**2) - (5 if failed else 0)
+    paid = (height * (1 + settled) / 4 + upright / 2) * (1 - 0.3 * share_of_track**2)
+    return paid - (5 if failed else 0) - share**2 / 200
 
 
 @pytest.mark.parametrize("preset", ["gustafsson2016", "bogdanov2004"])
 def test_the_reward_is_the_published_equation(preset):
-    rig = dpend.rig(preset).replace(track_limit=1.7)
-    shaped = Shaped(task=SwingUp(), rig=rig, mixture=[SwingUp()], steps=100)
+    rig = dpend.rig(preset).replace(track_limit=1.7, force_limit=30.0)
     rng = np.random.default_rng(7)
     x = np.concatenate([some_states(300, 1), rng.normal(scale=(1, 0.3, 0.3, 1, 2, 2), size=(300, 6))])
-    failed = rng.random(600) < 0.2
+    failed, share = rng.random(600) < 0.2, rng.uniform(-1, 1, 600)
     p = rig.params
     g, length1, length2 = float(p.gravity), float(p.length1), float(p.length2)
-    expected = [published_reward(state, fell, 1.7, g, length1, length2) for state, fell in zip(x, failed, strict=True)]
-    np.testing.assert_allclose(-shaped.cost(x, failed.astype(np.uint8)), expected, rtol=1e-12, atol=1e-14)
+    each = zip(x, share, failed, strict=True)
+    expected = [published_reward(*one, 1.7, g, length1, length2) for one in each]
+    np.testing.assert_allclose(reward(x, share, failed, rig), expected, rtol=1e-12, atol=1e-14)
     assert 0 < (np.abs(x[:, 0]) > 1.7).mean() < 1  # within the track and beyond its end
 
 
@@ -70,8 +75,7 @@ def test_the_reward_hanging_at_rest_is_nothing():
 
 def test_a_failure_costs_five():
     x = some_states(2)
-    alive, failed = np.array([0, 0], dtype=np.uint8), np.array([0, 1], dtype=np.uint8)
-    np.testing.assert_allclose(SHAPED.cost(x, failed) - SHAPED.cost(x, alive), [0, 5])
+    np.testing.assert_allclose(reward(x) - reward(x, code=[0, 1]), [0, 5])
 
 
 def test_the_mirrored_state_is_as_good():
@@ -100,7 +104,7 @@ def test_the_end_of_the_track_is_seen_as_one():
 
 
 def test_starts_come_from_every_task_of_the_mixture_equally_often():
-    starts = SHAPED.starts(np.random.default_rng(0), 10_000, RIG)
+    starts = MIXED.starts(np.random.default_rng(0), 10_000, RIG)
     hanging = (starts == dpend.EQUILIBRIA["down-down"]).all(axis=1)
     near = np.abs(starts[:, 1:3]).max(axis=1) <= 0.1
     assert (hanging ^ near).all()
@@ -110,6 +114,6 @@ def test_starts_come_from_every_task_of_the_mixture_equally_often():
 def test_it_ends_as_its_task_does():
     x = some_states()
     x[::2, 0] = 3.0
-    np.testing.assert_array_equal(SHAPED.ended(x, RIG), SwingUp().ended(x, RIG))
-    np.testing.assert_array_equal(SHAPED.upright(x), SwingUp().upright(x))
-    assert SHAPED.hold == 0.0  # while it is learned nothing need be held
+    np.testing.assert_array_equal(MIXED.ended(x, RIG), SwingUp().ended(x, RIG))
+    np.testing.assert_array_equal(MIXED.upright(x), SwingUp().upright(x))
+    assert MIXED.hold == SwingUp().hold

@@ -225,31 +225,3 @@ def test_what_is_learned_has_a_name():
     message = "A learner's task must be a dpend.Balance or a dpend.SwingUp, or its name; got None."
     with pytest.raises(TypeError, match=whole(message)):
         task_name(other)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "value"),
-    [
-        ("steps", "cost.steps", 60),
-        ("seconds", "cost.cpu_seconds", 1.5),
-        ("lengths", "curve['length']", [20, 40]),
-        ("gains", "details['gains']", [3.0]),
-    ],
-)
-def test_what_results_of_one_learner_alone_had_is_still_found_with_a_warning(old, new, value):
-    training: Any = Training(
-        policy=GainPolicy(np.ones(6)),
-        outcome=Outcome.CONVERGED,
-        cost=Cost(episodes=2, steps=60, sample_time=0.02, cpu_seconds=1.5),
-        curve={"length": np.array([20, 40])},
-        details={"gains": np.array([3.0])},
-    )
-    with pytest.warns(DeprecationWarning, match=whole_start(f"Training.{old} is now called Training.{new};")):
-        found = getattr(training, old)
-    np.testing.assert_array_equal(found, value)
-    with pytest.raises(AttributeError, match="'Training' object has no attribute 'restarts'"):
-        training.restarts  # noqa: B018
-
-
-def whole_start(message):
-    return whole(message).removesuffix("$")
