@@ -16,7 +16,7 @@ import dpend
 from dpend.params import Array
 from rl import Cost, GainPolicy, Learner, Outcome, Training
 from rl.training import Progress, Seed
-from studies import _board, _runner, lambda_sweep, leaderboard
+from studies import _board, _field, _runner, lambda_sweep, leaderboard, learning_curves
 from studies._board import ranked, values_of
 from studies._field import CONTENDERS, Contender, PriorKnowledge
 from studies._runner import Table
@@ -125,3 +125,15 @@ def test_the_sweep_over_lambda_trains_it_as_often_as_others(monkeypatch: pytest.
     assert own["training_episodes"].tolist() == 2 * [30 * 200]
     assert lambda_sweep.saved(table, ENTRY.name, 0.05).value > 0.9
     assert "| cross-entropy (0 of 2 converged) |" in (tmp_path / "tables.md").read_text()
+
+
+def test_the_learning_curves_train_it_and_evaluate_its_policy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(_field, "CONTENDERS", (ENTRY,))
+    monkeypatch.setattr(learning_curves, "ONLY_HERE", ())
+    options = ["--quick", "--workers", "1", "--deep", str(tmp_path), "--out", str(tmp_path / "out")]
+    table = _runner.main("studies.learning_curves", options)
+    assert set(table.rows["learner"]) == {ENTRY.name}
+    assert table.rows["lam"].tolist() == [0.1, 0.3]
+    assert set(table.rows["successes"]) == {-1}  # its curve has no success
+    assert np.isfinite(table.array("curve", learner=ENTRY.name)).all()
+    assert "| cross-entropy | 1 | 0 | 0 |" in (tmp_path / "out" / "tables.md").read_text()
