@@ -246,7 +246,7 @@ def test_numbers_that_look_like_another_unit_are_refused_unless_they_are_vouched
             "position_unit must be a finite number other than 0, in SI units per unit; got 0.0.",
         ),
         ({"tolerance": None}, "tolerance must be a share of the sample time, at least 0; got None."),
-        ({"zero": "left"}, 'zero must be "up" or "down", where the angles are counted from; got \'left\'.'),
+        ({"zero": "left"}, 'zero must be "up" or "down"; got \'left\'.'),
     ],
 )
 def test_settings_that_mean_nothing_are_refused(tmp_path: Path, settings: dict[str, Any], message: str) -> None:
