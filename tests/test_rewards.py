@@ -24,7 +24,8 @@ from dpend.shaping import Mixture, observation_scales, observe
 from dpend.tasks import Balance, NoTask, SwingUp, Task
 from dpend.vector_env import balance_vector, swing_up_vector
 from rl import load_policy
-from rl.deep import DeepRecipe, training_envs
+from rl.deep import DeepRecipe
+from rl.recipes import training_envs
 from tests.rigs import whole
 
 RIG = dpend.rig("gustafsson2016")
