@@ -334,20 +334,8 @@ class UKF(_Filter):
 
     Parameters
     ----------
-    rig : Rig or str
-        What is believed: plant, delays, force limit, actuator lag, noises and resolution.
-    process_noise : array_like (3,), optional
-        Standard deviations of a generalised force on cart (N), link 1 and link 2 (N m) that is white from sample to
-        sample; default as in :class:`EKF`.
-    measurement_noise : array_like (3,), optional
-        Standard deviations of the measured positions, m and rad; default as in :class:`EKF`.
-    rates_noise : array_like (3,), optional
-        Standard deviations of the first guess of the rates, m/s and rad/s; default as in :class:`EKF`.
-
-    Raises
-    ------
-    ValueError
-        If the rig describes several plants, or a noise has the wrong shape or sign.
+    rig, process_noise, measurement_noise, rates_noise
+        See :class:`EKF`, also for what is refused.
 
     Notes
     -----

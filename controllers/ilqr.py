@@ -177,12 +177,8 @@ class ILQRMPC:
     target : str or array_like (6,)
         The name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere on the track.  The nearest whole
         turn counts, wherever the plan is.
-    horizon : float, optional
-        Length of the plan, s, rounded to :math:`N` samples, from 2 to 1000; left out, as in :func:`ilqr`.
-    Q : sequence of six floats, optional
-        Weights of the residuals, at least zero; left out, (10, 50, 50, 1, 1, 1), scaled from links of 1 m.
-    R : float, optional
-        Weight of the force, greater than zero; left out, 0.1, scaled from a plant of 2 kg by its weight.
+    horizon, Q, R
+        See :func:`ilqr`.
     iterations : int
         Most iterations a sample for a plan; with none, the first plan is followed by its gains and the regulator's.
     starts : int

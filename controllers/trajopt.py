@@ -265,7 +265,7 @@ def _check(
     solver: str,
 ) -> None:
     checked_name("objective", objective, ("effort", "time"))
-    checked_name("solver", solver, ("ipopt", "auto", "fatrop"))
+    checked_name("solver", solver, ("auto", "fatrop", "ipopt"))
     samples = duration / rig.sample_time if is_finite(duration) else 0.0
     if abs(samples - round(samples)) > 1e-6 or round(samples) < 8:
         raise ValueError(

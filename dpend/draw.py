@@ -415,33 +415,10 @@ def draw_strobe(axes: Axes, x: npt.ArrayLike, rig: Rig, *, pictures: int = 16) -
 
 
 def animate_run(run: _Motion, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Film:
-    """Return the path of a film of a run, with time and force above the picture, written there.
+    """Return the path of a film of a run, with time and force above the picture, as ``Run.animate`` says.
 
-    Parameters
-    ----------
-    run : Run
-        The run; each picture shows its last sample before that moment.
-    path : str or Path
-        Where to; the suffix, ``.gif`` or ``.mp4``, chooses the format.
-    fps : float
-        Pictures per second.  A GIF counts in hundredths of a second and shows at most 50, so it takes the nearest
-        that it can hold; it plays at the right speed all the same.
-    speed : float
-        Seconds of the run in a second of film.
-
-    Returns
-    -------
-    Film
-        The path; the file appears under its name only when it is complete, and notebooks play it.
-
-    Raises
-    ------
-    ValueError
-        If the suffix is another, or ``fps`` or ``speed`` is not finite and greater than zero.
-    RuntimeError
-        If an MP4 is asked for and there is no ffmpeg, or ffmpeg fails.
-    OSError
-        If the folder cannot be written to; before anything is drawn.
+    Each picture shows the run's last sample before that moment.  A GIF counts in hundredths of a second and shows at
+    most 50 pictures in one, so it takes the nearest that it can hold.
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -108,17 +108,10 @@ def simulate_many(
     ----------
     rig : Rig
         The true rig or rigs.
-    controller : Controller or callable
-        The law; a plain function ``law(t, x)`` of one state ``(6,)`` will do.
     x0 : array_like (N, 6)
         The initial states.
-    duration : float, optional
-        Seconds, a whole number of samples; left out, the task's full length.
-    task : Task, optional
-        What ends a run and what counts as success; None ends it only at the track's end.
-    push : callable, optional
-        Generalised forces that act beside the actuator's, as a function of time, held over each sample; the run's log
-        keeps them as ``push_cart`` (N), ``push_link1`` and ``push_link2`` (N m).
+    controller, duration, task, push
+        See :func:`simulate`; a push may be ``(N, 3)``.
     seed : int
         What the disturbances are drawn from: row ``i`` from ``(seed, first_row + i)``.
     first_row : int
@@ -138,11 +131,6 @@ def simulate_many(
         Before anything runs, if an argument is wrong.
     LawError
         If the law fails while it runs; the error keeps the runs so far.
-
-    Notes
-    -----
-    Where a law returns NaN or an infinite force, its last finite one counts, zero at first, and the log's
-    ``"not_finite"`` is one.
     """
     rig = as_rig(rig)
     controller = as_controller(controller)

@@ -215,7 +215,7 @@ def test_a_clock_that_is_not_the_rigs_is_refused_with_the_remedy(tmp_path: Path)
 @pytest.mark.parametrize("name", ["th1", "th2"])
 def test_a_link_may_turn_a_hundred_times_and_no_further(tmp_path: Path, name: str) -> None:
     def turning(turns: float) -> dict[str, Array]:
-        t = 0.02 * np.arange(2001)
+        t = 0.02 * np.arange(2001, dtype=np.float64)
         return {"t": t, "pos": 0 * t, "th1": 0 * t, "th2": 0 * t, "u": 0 * t} | {name: 2 * np.pi * turns * t / 40}
 
     last = Run.from_csv(written(tmp_path / "run.csv", turning(99.9)), RIG).x[-1, NAMES.index(name)]
