@@ -630,6 +630,16 @@ def test_a_place_that_cannot_be_written_to_is_refused_before_anything_is_drawn(
     assert sorted(tmp_path.iterdir()) == [file, folder]
 
 
+def test_a_figure_that_cannot_be_finished_leaves_what_was_there(run: Run, tmp_path: Path) -> None:
+    figure, there = run.plot(), tmp_path / "run.png"
+    figure.savefig(tmp_path / "run")
+    whole_one = there.read_bytes()
+    with pytest.raises(ValueError, match="not supported"):
+        figure.savefig(there, format="gif87")
+    assert there.read_bytes() == whole_one
+    assert [*tmp_path.iterdir()] == [there]
+
+
 @pytest.mark.parametrize("suffix", [".gif", pytest.param(".mp4", marks=POSIX)])
 def test_a_film_that_breaks_off_leaves_what_was_there(
     suffix: str, run: Run, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
