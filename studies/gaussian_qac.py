@@ -23,12 +23,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 from rich.console import Group, RenderableType
 from rich.table import Table
-from rl.gaussian_qac import ablations
 
 import dpend
 from controllers import LQR
 from dpend.params import Array
 from rl import GainPolicy, GaussianQAC, QACTraining
+from rl.gaussian_qac import ablations
 
 from . import _study
 from ._intervals import over_seeds, wilson

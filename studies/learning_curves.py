@@ -30,12 +30,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, PercentFormatter
 from rich.console import Group, RenderableType
 from rich.table import Table
-from rl.gaussian_qac import TableOneMean
 
 import dpend
 from dpend.params import Array
 from rl import LSPI, GainPolicy, GaussianQAC, LinearQLearning, LinearQPolicy, LSPITraining, QACTraining, Training
 from rl.deep import read_curve
+from rl.gaussian_qac import TableOneMean
 
 from . import _study
 from ._study import Figures, Job, Result, Traces
