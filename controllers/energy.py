@@ -12,12 +12,13 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from dpend.arguments import is_finite
+from dpend.arguments import checked_positive, is_finite
 from dpend.controller import Act
 from dpend.deprecation import renamed_arguments
 from dpend.params import Array
 from dpend.plant import energies, rates
 from dpend.rig import Rig, single_rig
+from dpend.state import state_rows
 
 from .wrapping import holding
 
@@ -83,9 +84,9 @@ class EnergySwingUp:
     ) -> None:
         self.rig, self.energy = _checked_rig(rig, "EnergySwingUp")
         c = self.rig.params.coefficients()
-        self.k_energy = _positive("k_energy", 1 / self.energy**2 if k_energy is None else k_energy)
+        self.k_energy = checked_positive("k_energy", 1 / self.energy**2 if k_energy is None else k_energy)
         least = 2 * self.k_energy * self.energy * float(c.d1)
-        self.k_velocity = _positive("k_velocity", 1.25 * least if k_velocity is None else k_velocity)
+        self.k_velocity = checked_positive("k_velocity", 1.25 * least if k_velocity is None else k_velocity)
         if not self.k_velocity > least:
             raise ValueError(
                 "The law is singular: it needs k_velocity * min beta > 2 * k_energy * Er, and with "
@@ -93,8 +94,8 @@ class EnergySwingUp:
                 f"Er = {self.energy:g} J that is {self.k_velocity / c.d1:g} > {least / c.d1:g}; "
                 f"let k_velocity be greater than {least:g}."
             )
-        self.k_x = _positive("k_x", 20 / _reach(self.rig) ** 2 if k_x is None else k_x)
-        self.k_d = _positive("k_d", 0.06 * math.sqrt(self.k_x * self.k_velocity) if k_d is None else k_d)
+        self.k_x = checked_positive("k_x", 20 / _reach(self.rig) ** 2 if k_x is None else k_x)
+        self.k_d = checked_positive("k_d", 0.06 * math.sqrt(self.k_x * self.k_velocity) if k_d is None else k_d)
         self.perturbation = _checked_perturbation(self.rig, perturbation)
 
     def __repr__(self) -> str:
@@ -103,13 +104,13 @@ class EnergySwingUp:
 
     def lyapunov(self, x: npt.ArrayLike) -> Array:
         r"""Return :math:`V` of states ``(..., 6)``, which no unlimited and unheld force of this law lets rise."""
-        x = np.asarray(x, dtype=np.float64)
+        x = state_rows("x", x)
         missing = energies(x, self.rig.params).total - self.energy
         return 0.5 * (self.k_energy * missing**2 + self.k_velocity * x[..., 3] ** 2 + self.k_x * x[..., 0] ** 2)
 
     def force(self, x: npt.ArrayLike) -> Array:
         """Return the law's answer to states ``(..., 6)``, N."""
-        x = np.asarray(x, dtype=np.float64)
+        x = state_rows("x", x)
         alpha, beta = _cart_response(x, self.rig)
         missing = energies(x, self.rig.params).total - self.energy
         wanted = self.k_velocity * alpha + self.k_x * x[..., 0] + self.k_d * x[..., 3]
@@ -177,11 +178,11 @@ class EnergyPump:
         self.rig, self.energy = _checked_rig(rig, "EnergyPump")
         c = self.rig.params.coefficients()
         gravity = float(self.rig.params.gravity)
-        self.acceleration = _positive("acceleration", gravity if acceleration is None else acceleration)
+        self.acceleration = checked_positive("acceleration", gravity if acceleration is None else acceleration)
         fall = math.sqrt((float(c.length1) + float(c.length2)) / gravity)
-        self.gain = _positive("gain", 5 * fall / float(c.d2 + c.d3) if gain is None else gain)
-        self.k_x = _positive("k_x", gravity / _reach(self.rig) if k_x is None else k_x)
-        self.k_d = _positive("k_d", math.sqrt(self.k_x) if k_d is None else k_d)
+        self.gain = checked_positive("gain", 5 * fall / float(c.d2 + c.d3) if gain is None else gain)
+        self.k_x = checked_positive("k_x", gravity / _reach(self.rig) if k_x is None else k_x)
+        self.k_d = checked_positive("k_d", math.sqrt(self.k_x) if k_d is None else k_d)
         self.perturbation = _checked_perturbation(self.rig, perturbation)
 
     def __repr__(self) -> str:
@@ -199,7 +200,7 @@ class EnergyPump:
 
     def force(self, x: npt.ArrayLike) -> Array:
         """Return the law's answer to states ``(..., 6)``, N."""
-        x = np.asarray(x, dtype=np.float64)
+        x = state_rows("x", x)
         alpha, beta = _cart_response(x, self.rig)
         missing = (self.links_energy(x) - self.energy) / self.energy
         pumping = self.acceleration * np.clip(self.gain * self.momentum(x) * missing, -1.0, 1.0)
@@ -218,7 +219,7 @@ def _cart_response(x: Array, rig: Rig) -> tuple[Array, Array]:
 
 def _moving_at(x: npt.ArrayLike, speed: float) -> Array:
     """Return the states with the cart at another speed, the links turning as they do."""
-    moving = np.array(x, dtype=np.float64)
+    moving = state_rows("x", x).copy()
     moving[..., 3] = speed
     return moving
 
@@ -252,12 +253,6 @@ def _checked_rig(rig: Rig | str, law: str) -> tuple[Rig, float]:
     if not energy > 0:
         raise ValueError(f"{law} lifts the links against gravity; got a rig without, gravity={rig.params.gravity!r}.")
     return rig, energy
-
-
-def _positive(name: str, value: float) -> float:
-    if not (is_finite(value) and value > 0):
-        raise ValueError(f"{name} must be a finite number greater than 0; got {value!r}.")
-    return float(value)
 
 
 def _checked_perturbation(rig: Rig, perturbation: float | None) -> float:

@@ -16,7 +16,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from dpend.controller import Act, Controller
+from dpend.arguments import checked_array
+from dpend.controller import Act, Controller, Law
 from dpend.params import Array
 from dpend.rig import Rig, ideal_rig, single_rig
 from dpend.state import wrap
@@ -56,7 +57,7 @@ class WithEstimator(Wrapper):
         If either is something else.
     """
 
-    def __init__(self, estimator: Estimator, controller: Controller) -> None:
+    def __init__(self, estimator: Estimator, controller: Controller | Law) -> None:
         if isinstance(estimator, type) or not callable(getattr(estimator, "follow", None)):
             raise TypeError(
                 f"estimator must be an estimator such as EKF(rig), with a method follow(n); got {estimator!r}."
@@ -333,20 +334,8 @@ class UKF(_Filter):
 
     Parameters
     ----------
-    rig : Rig or str
-        What is believed: plant, delays, force limit, actuator lag, noises and resolution.
-    process_noise : array_like (3,), optional
-        Standard deviations of a generalised force on cart (N), link 1 and link 2 (N m) that is white from sample to
-        sample; default as in :class:`EKF`.
-    measurement_noise : array_like (3,), optional
-        Standard deviations of the measured positions, m and rad; default as in :class:`EKF`.
-    rates_noise : array_like (3,), optional
-        Standard deviations of the first guess of the rates, m/s and rad/s; default as in :class:`EKF`.
-
-    Raises
-    ------
-    ValueError
-        If the rig describes several plants, or a noise has the wrong shape or sign.
+    rig, process_noise, measurement_noise, rates_noise
+        See :class:`EKF`, also for what is refused.
 
     Notes
     -----
@@ -427,7 +416,7 @@ def _root(covariance: Array) -> Array:
 
 
 def _three(name: str, value: npt.ArrayLike, unit: str) -> Array:
-    array = np.array(value, dtype=np.float64)
-    if array.shape != (3,) or not (np.isfinite(array) & (array >= 0)).all():
+    array = checked_array(name, value, f"three, at least 0 ({unit})").copy()
+    if array.shape != (3,) or not (array >= 0).all():
         raise ValueError(f"{name} must be three finite numbers, at least 0 ({unit}); got {value!r}.")
     return array

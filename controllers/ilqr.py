@@ -28,11 +28,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from dpend.arguments import checked_whole, is_finite
+from dpend.arguments import checked_array, checked_positive, checked_seed, checked_whole, is_finite
 from dpend.controller import Act
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
-from dpend.state import as_equilibrium, as_states
+from dpend.state import as_equilibrium, as_states, one_state
 
 from .ilqr_kernels import NO_GAPS, Problem, improve, nearest_target, rollout
 from .lqr import LQR
@@ -128,13 +128,12 @@ def ilqr(
         If an argument is out of range or has the wrong shape, or the rig describes several plants.
     """
     planner = _Planner(rig, target, horizon, Q, R, upright_only)
-    start = np.asarray(x0, dtype=np.float64)
-    if start.shape != (6,):
-        raise ValueError(f"x0 must be one state of shape (6,); got shape {start.shape}.")
-    start = as_states(start)[0]
+    start = one_state("x0", x0)
+    seed = checked_seed("seed", seed)
     starts, iterations = checked_whole("starts", starts, 0), checked_whole("iterations", iterations, 0)
     if not (is_finite(tolerance) and tolerance >= 0):
         raise ValueError(f"tolerance must be finite and at least 0; got {tolerance!r}.")
+    tolerance = float(tolerance)  # whole numbers would be compiled for once more
     problem = planner.problem_at(start)
     if u_guess is None and x_guess is None:
         plan, tried = planner.best_of_several(start, starts, np.random.default_rng(seed), iterations, _COARSE)
@@ -178,12 +177,8 @@ class ILQRMPC:
     target : str or array_like (6,)
         The name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere on the track.  The nearest whole
         turn counts, wherever the plan is.
-    horizon : float, optional
-        Length of the plan, s, rounded to :math:`N` samples, from 2 to 1000; left out, as in :func:`ilqr`.
-    Q : sequence of six floats, optional
-        Weights of the residuals, at least zero; left out, (10, 50, 50, 1, 1, 1), scaled from links of 1 m.
-    R : float, optional
-        Weight of the force, greater than zero; left out, 0.1, scaled from a plant of 2 kg by its weight.
+    horizon, Q, R
+        See :func:`ilqr`.
     iterations : int
         Most iterations a sample for a plan; with none, the first plan is followed by its gains and the regulator's.
     starts : int
@@ -233,13 +228,11 @@ class ILQRMPC:
         upright_only: bool = False,
     ) -> None:
         self._planner = _Planner(rig, target, horizon, Q, R, upright_only)
-        iterations, starts = checked_whole("iterations", iterations, 0), checked_whole("starts", starts, 0)
         self.rig = self._planner.rig
         self.lqr = self._planner.lqr
         self.horizon_steps = self._planner.N
         self.horizon = self.horizon_steps * self.rig.sample_time
-        self.iterations = int(iterations)
-        self.starts = int(starts)
+        self.iterations, self.starts = checked_whole("iterations", iterations, 0), checked_whole("starts", starts, 0)
         self.explore = bool(explore) and not upright_only
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
@@ -285,10 +278,10 @@ class _Planner:
         # Of (10, 50, 50, 1, 1, 1) and 0.1 for links of 1 m and a plant of 2 kg, by dimensional analysis.
         if Q is None:
             Q = (10 / L**2, 50.0, 50.0, 9.81 / (g * L), 9.81 * L / g, 9.81 * L / g)
-        self.Q = np.array(Q, dtype=np.float64)
-        if self.Q.shape != (6,) or not np.isfinite(self.Q).all() or (self.Q < 0).any():
+        self.Q = checked_array("Q", Q, "six weights").copy()
+        if self.Q.shape != (6,) or (self.Q < 0).any():
             raise ValueError(f"Q must be six finite weights, at least 0, of pos, th1, th2, vel, om1, om2; got {Q!r}.")
-        self.R = 0.1 * (2 * 9.81 / (mass * g)) ** 2 if R is None else R
+        self.R = 0.1 * (2 * 9.81 / (mass * g)) ** 2 if R is None else checked_positive("R", R)
         self.rig = rig
         if horizon is None:
             scale = _HORIZON_UPRIGHT if upright_only else _HORIZON
@@ -407,14 +400,14 @@ class _Planner:
     ) -> _Plan:
         """Return the plan that a caller guesses."""
         N = self.N
-        u = np.zeros(N) if u_guess is None else np.array(u_guess, dtype=np.float64)
-        if u.shape != (N,) or not np.isfinite(u).all():
+        u = np.zeros(N) if u_guess is None else checked_array("u_guess", u_guess, f"forces ({N},)")
+        if u.shape != (N,):
             raise ValueError(f"u_guess must be finite forces of shape ({N},), one a sample; got shape {u.shape}.")
         limit = float(self.rig.force_limit)
         u = np.clip(u, -limit, limit)
         if x_guess is None:
             return self.followed(problem, x0, np.zeros((N + 1, 6)), u, np.zeros((N, 6)))
-        x = np.asarray(x_guess, dtype=np.float64)
+        x = checked_array("x_guess", x_guess, f"states ({N + 1}, 6)")
         if x.shape != (N + 1, 6):
             raise ValueError(f"x_guess must be states of shape ({N + 1}, 6); got shape {x.shape}.")
         x = as_states(x)

@@ -23,7 +23,7 @@ import casadi
 import numpy as np
 import numpy.typing as npt
 
-from dpend.arguments import is_finite
+from dpend.arguments import checked_array, is_finite
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
 from dpend.state import as_states
@@ -90,7 +90,7 @@ class LeastForce:
             raise ValueError(
                 f"horizon must be a number of seconds, at least two samples of {rig.sample_time:g} s; got {horizon!r}."
             )
-        limits = np.array(angle_limits, dtype=np.float64)
+        limits = checked_array("angle_limits", angle_limits, "two angles, rad")
         if limits.shape != (2,) or not (limits > 0).all():
             raise ValueError(f"angle_limits must be two angles, greater than 0 rad; got {angle_limits!r}.")
         if not (is_finite(track_margin) and 0 <= track_margin < rig.track_limit):

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve, solve_continuous_are, solve_discrete_are
 
-from dpend.arguments import is_finite
-from dpend.controller import Act, Controller
+from dpend.arguments import checked_array, checked_name, checked_positive
+from dpend.controller import Act, Controller, Law
 from dpend.deprecation import renamed_arguments
 from dpend.linear import discretize, linearize
 from dpend.params import Array
@@ -110,10 +110,9 @@ class LQR:
     ) -> None:
         self.rig = rig = single_rig(rig, "LQR")
         self.Q = _weight(Q)
-        if not (is_finite(R) and R > 0):
-            raise ValueError(f"R, the weight of the force, must be a finite number greater than 0; got {R!r}.")
-        self.R = float(R)
+        self.R = checked_positive("R, the weight of the force,", R)
         self.target = as_equilibrium(target)
+        checked_name("design", design, ("discrete", "continuous"))
         A, B = self._plant = linearize(rig.params, self.target)
         self._Ad, self._Bd = map(np.ascontiguousarray, discretize(A, B, rig.sample_time))
         try:
@@ -122,15 +121,13 @@ class LQR:
                 P = solve_discrete_are(self._Ad, self._Bd, self.Q, [[self.R]])
                 K = solve(self._Bd.T @ P @ self._Bd + self.R, self._Bd.T @ P @ self._Ad)
                 slowest = np.abs(np.linalg.eigvals(self._Ad - self._Bd @ K)).max() - 1
-            elif design == "continuous":
+            else:
                 P = solve_continuous_are(A, B, self.Q, [[self.R]])
                 K = B.T @ P / self.R
                 slowest = np.linalg.eigvals(A - B @ K).real.max()
-            else:
-                raise ValueError(f'design must be "discrete" or "continuous"; got {design!r}.')
             if slowest > -1e-10:  # the solver does not refuse an integrator that no weight sees
                 raise np.linalg.LinAlgError("a mode of the loop does not decay")
-        except np.linalg.LinAlgError as error:
+        except (np.linalg.LinAlgError, ValueError) as error:
             raise ValueError(
                 f"There is no stabilising solution of the Riccati equation for these weights ({error}); "
                 "let Q weigh every state that is to come to rest."
@@ -229,16 +226,14 @@ def _first_exit(radius: Callable[[float], float], path: Array, never: float = np
 
 
 def _weight(Q: npt.ArrayLike | None) -> Array:
-    weight = np.eye(6) if Q is None else np.array(Q, dtype=np.float64)
+    what = "a diagonal (6,) or a matrix (6, 6)"
+    weight = np.eye(6) if Q is None else checked_array("Q", Q, what).copy()
     if weight.shape == (6,):
         weight = np.diag(weight)
     if weight.shape != (6, 6):
-        raise ValueError(
-            f"Q weighs the six states ({', '.join(NAMES)}): expected a diagonal (6,) or a matrix (6, 6); "
-            f"got shape {weight.shape}."
-        )
-    if not np.isfinite(weight).all() or not np.allclose(weight, weight.T):
-        raise ValueError("Q must be finite and symmetric.")
+        raise ValueError(f"Q weighs the six states ({', '.join(NAMES)}): expected {what}; got shape {weight.shape}.")
+    if not np.allclose(weight, weight.T):
+        raise ValueError("Q must be symmetric.")
     least = float(np.linalg.eigvalsh(weight).min())
     if least < -1e-9 * np.abs(weight).max(initial=1.0):
         raise ValueError(f"Q must be positive semidefinite; its least eigenvalue is {least:g}.")
@@ -264,11 +259,9 @@ class BangBang(Wrapper):
         If the force is not greater than zero or not finite.
     """
 
-    def __init__(self, controller: Controller, force: float) -> None:
+    def __init__(self, controller: Controller | Law, force: float) -> None:
         super().__init__(controller, "sign of {}")
-        if not (is_finite(force) and force > 0):
-            raise ValueError(f"force must be finite and greater than 0 N; got {force!r}.")
-        self.force = float(force)
+        self.force = checked_positive("force", force, "N")
 
     def _around(self, n: int, inner: Act) -> Act:
         return lambda t, y: self.force * np.sign(inner(t, y))

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import math
-import numbers
 from collections.abc import Callable, Iterator
 from enum import IntEnum
 from functools import lru_cache
@@ -20,11 +19,11 @@ from time import perf_counter
 from typing import Any, Literal, NamedTuple
 
 import casadi
-import control
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import solve_discrete_are
 
-from dpend.arguments import checked_whole, is_finite
+from dpend.arguments import checked_name, checked_whole, is_finite
 from dpend.controller import Act
 from dpend.deprecation import warn_renamed
 from dpend.linear import discretize, linearize
@@ -158,10 +157,8 @@ class NMPC:
         solver: Plugin = "auto",
     ) -> None:
         rig = single_rig(rig, "NMPC")
-        if cost not in ("quadratic", "energy"):
-            raise ValueError(f'cost must be "quadratic" or "energy"; got {cost!r}.')
-        if solver not in ("auto", "fatrop", "ipopt"):
-            raise ValueError(f'solver must be "auto", "fatrop" or "ipopt"; got {solver!r}.')
+        checked_name("cost", cost, ("quadratic", "energy"))
+        checked_name("solver", solver, ("auto", "fatrop", "ipopt"))
         if R is None:
             R = 160 / float(rig.force_limit) ** 2 if math.isfinite(rig.force_limit) else 0.1
         self.lqr = LQR(rig, (10, 50, 50, 1, 1, 1) if Q is None else Q, R, target=as_equilibrium(target))
@@ -213,7 +210,7 @@ class NMPC:
         """
         setpoint = self.setpoint(t) if callable(self.setpoint) else self.setpoint
         reach = float(self.rig.track_limit) - self.margin
-        if isinstance(setpoint, numbers.Real) and abs(self.lqr.target[0] + float(setpoint)) <= min(reach, 1e9):
+        if is_finite(setpoint) and abs(self.lqr.target[0] + float(setpoint)) <= min(reach, 1e9):
             return float(self.lqr.target[0]) + float(setpoint)
         raise ValueError(
             f"The cart's place, target and setpoint together, must be within {reach:g} m of the middle, the track less "
@@ -372,8 +369,8 @@ def _cost_with_rate(rig: Rig, target: Array, Q: Array, R: float, S: float) -> Ar
     Ad, Bd = discretize(*linearize(rig.params, target), rig.sample_time)
     cross = np.zeros((7, 1))
     cross[6] = -S
-    _, P, _ = control.dlqr(_diagonal(Ad, 0.0), np.vstack([Bd, [[1.0]]]), _diagonal(Q, S), R + S, cross)
-    return np.asarray(P)
+    P = solve_discrete_are(_diagonal(Ad, 0.0), np.vstack([Bd, [[1.0]]]), _diagonal(Q, S), [[R + S]], s=cross)
+    return np.asarray(P, dtype=np.float64)
 
 
 class _Planner:

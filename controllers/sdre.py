@@ -197,7 +197,10 @@ class SDRE:
 
     def gains(self, x: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.bool_]]:
         """Return the gains ``(n, 6)`` in states ``(n, 6)``, and where one was found."""
-        A, B = factorize(self.rig.params, nearest_upright(x))
+        x = nearest_upright(x)
+        if x.ndim != 2:
+            raise ValueError(f"Expected states of shape (n, 6); got shape {x.shape}.")
+        A, B = factorize(self.rig.params, x)
         A, B = _held(A, B, self.rig.sample_time)
         P, found = solve_riccati(A, B, self.lqr.Q, self.lqr.R)
         PB = P @ B

@@ -8,8 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dpend.arguments import is_finite
-from dpend.controller import Act, Controller
+from dpend.arguments import checked_positive
+from dpend.controller import Act, Controller, Law
 from dpend.deprecation import renamed_arguments
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
@@ -48,11 +48,9 @@ class RateLimit(Wrapper):
     turn, the more the larger the sine, so that a loop that survives a small disturbance may not survive a large one.
     """
 
-    def __init__(self, rig: Rig | str, controller: Controller, rate: float) -> None:
+    def __init__(self, rig: Rig | str, controller: Controller | Law, rate: float) -> None:
         self.rig = single_rig(rig, "RateLimit")
-        if not (is_finite(rate) and rate > 0):
-            raise ValueError(f"rate must be finite and greater than 0 N/s; got {rate!r}.")
-        self.rate = float(rate)
+        self.rate = checked_positive("rate", rate, "N/s")
         super().__init__(controller, f"{{}}, at most {self.rate:g} N/s")
 
     def _around(self, n: int, inner: Act) -> Act:
@@ -99,19 +97,18 @@ class LowPass(Wrapper):
     def __init__(
         self,
         rig: Rig | str,
-        controller: Controller,
+        controller: Controller | Law,
         *,
         frequency: float | None = None,
         time_constant: float | None = None,
     ) -> None:
         self.rig = single_rig(rig, "LowPass")
-        given = {"frequency": (frequency, "Hz"), "time_constant": (time_constant, "s")}
         if (frequency is None) == (time_constant is None):
             raise ValueError("Give frequency, in Hz, or time_constant, in s: one of the two.")
-        for name, (value, unit) in given.items():
-            if value is not None and not (is_finite(value) and value > 0):
-                raise ValueError(f"{name} must be finite and greater than 0 {unit}; got {value!r}.")
-        self.time_constant = float(time_constant) if frequency is None else 1 / (2 * math.pi * frequency)  # type: ignore[arg-type]
+        if frequency is None:
+            self.time_constant = checked_positive("time_constant", time_constant, "s")
+        else:
+            self.time_constant = 1 / (2 * math.pi * checked_positive("frequency", frequency, "Hz"))
         self._decay = math.exp(-self.rig.sample_time / self.time_constant)
         self.delay = self.rig.sample_time * self._decay / (1 - self._decay)
         super().__init__(controller, f"{{}}, low-pass {1 / (2 * math.pi * self.time_constant):.3g} Hz")

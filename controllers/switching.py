@@ -8,8 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from dpend.arguments import is_finite
-from dpend.controller import Act, Controller, check_controller, is_batched
+from dpend.arguments import checked_positive, is_finite
+from dpend.controller import Act, Controller, Law, as_controller, is_batched, name_of
 from dpend.deprecation import renamed_arguments
 from dpend.params import Array
 from dpend.plant import energies
@@ -18,7 +18,7 @@ from dpend.state import as_equilibrium, deviation
 from dpend.stepper import Stepper
 
 from .lqr import LQR
-from .wrapping import holding, log_of, name_of, with_logs
+from .wrapping import holding, log_of, with_logs
 
 Region = Callable[[Array], npt.NDArray[np.bool_]]
 """Which states ``(n, 6)`` belong to a region, ``(n,)``."""
@@ -36,15 +36,17 @@ class Ellipsoid:
 
     Raises
     ------
+    TypeError
+        If ``lqr`` is none.
     ValueError
         If the level is not greater than zero.
     """
 
     def __init__(self, lqr: LQR, level: float) -> None:
-        if not level > 0:
-            raise ValueError(f"level must be greater than 0; got {level!r}.")
+        if not isinstance(lqr, LQR):
+            raise TypeError(f"Ellipsoid takes an LQR; got {lqr!r}.")
         self.lqr = lqr
-        self.level = float(level)
+        self.level = checked_positive("level", level)
 
     def __repr__(self) -> str:
         return f"<region x'Px <= {self.level:.4g}>"
@@ -181,7 +183,7 @@ class RolloutRegion:
         within: float = 0.2,
     ) -> None:
         rig = single_rig(rig, "RolloutRegion")
-        check_controller(controller)
+        self.controller = controller = as_controller(controller)
         if not is_batched(controller):
             raise ValueError(
                 f"{name_of(controller)} treats one run at a time; a rollout of many states takes a batched law."
@@ -189,15 +191,12 @@ class RolloutRegion:
         if duration is None:
             c = rig.params.coefficients()
             duration = 8 * math.sqrt(float(c.length1 + c.length2) / max(float(rig.params.gravity), 1.0))
-        if not (is_finite(duration) and is_finite(within) and duration > 0 and within > 0):
-            raise ValueError(f"duration and within must be greater than 0; got {duration!r} s and {within!r} rad.")
+        self.duration = checked_positive("duration", duration, "s")
+        self.within = checked_positive("within", within, "rad")
         self.rig = rig.replace(
             actuator_lag=0.0, actuator_delay=0, force_noise=0.0, sensor_delay=0, sensor_noise=0.0, resolution=0.0
         )
-        self.controller = controller
         self.target = as_equilibrium(target)
-        self.duration = float(duration)
-        self.within = float(within)
 
     def __repr__(self) -> str:
         return f"<region from which {name_of(self.controller)} comes to rest in {self.duration:.3g} s>"
@@ -314,18 +313,16 @@ class SwitchingController:
     def __init__(
         self,
         rig: Rig | str,
-        first: Controller,
-        then: Controller | None = None,
+        first: Controller | Law,
+        then: Controller | Law | None = None,
         *,
         region: Region | None = None,
         leave: Region | None = None,
     ) -> None:
         rig = as_rig(rig)
         self.rig = rig
-        self.first = first
-        self.then: Controller = LQR(rig) if then is None else then
-        for law in (self.first, self.then):
-            check_controller(law)
+        self.first = as_controller(first)
+        self.then: Controller = LQR(rig) if then is None else as_controller(then)
         for name, asked in (("region", region), ("leave", leave)):
             if asked is not None and not callable(asked):
                 raise TypeError(f"{name} must say which states (n, 6) belong to it, as a function; got {asked!r}.")

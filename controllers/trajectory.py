@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from dpend import archive
+from dpend.arguments import checked_array
 from dpend.params import Array
 from dpend.rig import Rig, ideal_rig, single_rig
 from dpend.state import as_equilibrium, as_states
@@ -50,8 +51,8 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         single_rig(self.rig, "Trajectory")
-        u = np.array(self.u, dtype=np.float64)
-        if u.ndim != 1 or not len(u) or not np.isfinite(u).all():
+        u = checked_array("u", self.u, "forces (N,)").copy()
+        if u.ndim != 1 or not len(u):
             raise ValueError(f"u must be finite forces of shape (N,), at least one; got shape {u.shape}.")
         x = as_states(self.x, len(u) + 1)
         for array in (x, u):

@@ -31,7 +31,7 @@ import casadi
 import numpy as np
 import numpy.typing as npt
 
-from dpend.arguments import checked_whole, is_finite
+from dpend.arguments import checked_name, checked_seed, checked_whole, is_finite
 from dpend.params import Array
 from dpend.provenance import versions
 from dpend.rig import Rig, single_rig
@@ -176,13 +176,18 @@ def optimize(
 
     Raises
     ------
+    TypeError
+        If ``guess`` is no trajectory.
     ValueError
         If an argument is out of range.
     NoTrajectory
         If no guess led to a trajectory.
     """
     rig = single_rig(rig, "optimize")
-    _check(rig, objective, duration, smoothing, track_margin, force_margin, starts)
+    _check(rig, objective, duration, smoothing, track_margin, force_margin, starts, solver)
+    seed = checked_seed("seed", seed)
+    if guess is not None and not isinstance(guess, Trajectory):
+        raise TypeError(f"guess must be a controllers.Trajectory; got {guess!r}.")
     begin = _state(start)
     for name, state in (("start", begin), ("target", as_equilibrium(target))):
         if not abs(state[0]) <= rig.track_limit - track_margin:
@@ -257,9 +262,10 @@ def _check(
     track_margin: float,
     force_margin: float,
     starts: int,
+    solver: str,
 ) -> None:
-    if objective not in ("effort", "time"):
-        raise ValueError(f'objective must be "effort" or "time"; got {objective!r}.')
+    checked_name("objective", objective, ("effort", "time"))
+    checked_name("solver", solver, ("auto", "fatrop", "ipopt"))
     samples = duration / rig.sample_time if is_finite(duration) else 0.0
     if abs(samples - round(samples)) > 1e-6 or round(samples) < 8:
         raise ValueError(

@@ -10,6 +10,7 @@ import casadi
 import numpy as np
 import numpy.typing as npt
 
+from dpend.arguments import checked_name
 from dpend.controller import Act
 from dpend.params import Array
 from dpend.rig import Rig, as_rig
@@ -108,8 +109,7 @@ class TVLQR:
         index: Literal["nearest", "time"] = "nearest",
     ) -> None:
         rig = as_rig(rig)
-        if index not in ("nearest", "time"):
-            raise ValueError(f'index must be "nearest" or "time"; got {index!r}.')
+        checked_name("index", index, ("nearest", "time"))
         if trajectory is None:
             trajectory = shipped(rig)
         else:

@@ -9,13 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dpend.controller import Act, Controller, check_controller, is_batched
+from dpend.controller import Act, Controller, Law, as_controller, is_batched, name_of
 from dpend.params import Array
-
-
-def name_of(controller: object) -> str:
-    """Return what a controller is called: its ``name``, or that of its class."""
-    return str(getattr(controller, "name", type(controller).__name__))
 
 
 def log_of(act: Act) -> MutableMapping[str, Any]:
@@ -36,8 +31,8 @@ class Wrapper:
 
     Parameters
     ----------
-    controller : Controller
-        What is wrapped.
+    controller : Controller or callable
+        What is wrapped; a plain function ``law(t, x)`` of one state will do.
     name : str
         The new name, with ``{}`` where that of the wrapped controller stands.
 
@@ -47,11 +42,10 @@ class Wrapper:
         If it is no controller.
     """
 
-    def __init__(self, controller: Controller, name: str) -> None:
-        check_controller(controller)
-        self.controller = controller
-        self.batched = is_batched(controller)
-        self.name = name.replace("{}", name_of(controller))
+    def __init__(self, controller: Controller | Law, name: str) -> None:
+        self.controller = as_controller(controller)
+        self.batched = is_batched(self.controller)
+        self.name = name.replace("{}", name_of(self.controller))
 
     def __repr__(self) -> str:
         return f"<{self.name}>"

@@ -14,7 +14,7 @@ import threading
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any, cast
@@ -58,7 +58,8 @@ def atomic(path: str | Path) -> Iterator[Path]:
         message = f"{path} could not be written: {error.strerror or error}"
         raise (OSError(error.errno, message) if error.errno else OSError(message)) from error
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # its folder may be none
+            part.unlink()
 
 
 def write(path: str | Path, kind: str, header: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Path:

@@ -1,21 +1,34 @@
-"""Checks of the numbers that callers pass: finite ones, whole ones, seeds."""
+"""Checks of what callers pass: numbers, whole ones, seeds, arrays, names out of a few."""
 
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Iterable
 from typing import Any, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
+_MOST = 2**31 - 1
+
 
 def is_finite(value: object) -> TypeGuard[float]:
     """Return whether a value is one finite real number; strings, truth values and arrays of several are none."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # rows of different lengths
-        return False
+    array = _as_array(value)
     return array.ndim == 0 and array.dtype.kind in "iuf" and bool(np.isfinite(array))
+
+
+def checked_positive(name: str, value: object, unit: str = "") -> float:
+    """Return a finite number above zero as a float.
+
+    Raises
+    ------
+    ValueError
+        If it is something else; the message names it, with its unit.
+    """
+    if not (is_finite(value) and value > 0):
+        raise ValueError(f"{name} must be finite and greater than 0{unit and ' ' + unit}; got {value!r}.")
+    return float(value)
 
 
 def checked_whole(name: str, value: object, least: int = 1) -> int:
@@ -30,17 +43,15 @@ def checked_whole(name: str, value: object, least: int = 1) -> int:
     least : int
         The least that makes sense.
 
-    Returns
-    -------
-    int
-
     Raises
     ------
     ValueError
-        If it is something else, or less.
+        If it is something else, or less, or has more than 31 bits.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be a whole number, at least {least}; got {value!r}.")
+    if value > _MOST:
+        raise ValueError(f"{name} must be at most {_MOST}; got {reprlib.repr(value)}.")
     return int(value)
 
 
@@ -52,7 +63,24 @@ def checked_seed(name: str, value: object) -> int:
     ValueError
         If it is not a whole number, at least zero.
     """
-    return checked_whole(name, value, least=0)
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise ValueError(f"{name} must be a whole number, at least 0; got {value!r}.")
+    return int(value)
+
+
+def checked_name(name: str, value: object, known: Iterable[str]) -> str:
+    """Return a name, if it is one of a few.
+
+    Raises
+    ------
+    ValueError
+        If it is something else; the message lists them.
+    """
+    names = list(known)
+    if not (isinstance(value, str) and value in names):
+        listed = ", ".join(f'"{each}"' for each in names[:-1])
+        raise ValueError(f'{name} must be {listed} or "{names[-1]}"; got {reprlib.repr(value)}.')
+    return value
 
 
 def checked_array(
@@ -85,12 +113,17 @@ def checked_array(
     ValueError
         If a number is not finite.
     """
-    try:
-        array = np.asarray(value)
-    except ValueError:  # rows of different lengths
-        array = np.asarray(None)
+    array = _as_array(value)
     if array.dtype.kind not in ("iufc" if complex_too else "iuf"):
         raise TypeError(f"{name} must be numbers: {what}; got {reprlib.repr(value)}.")
     if finite and not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite: {what}; got {reprlib.repr(value)}.")
     return array.astype(np.complex128 if array.dtype.kind == "c" else np.float64, copy=False)
+
+
+def _as_array(value: object) -> npt.NDArray[Any]:
+    """Return an array, one of objects where rows have different lengths."""
+    try:
+        return np.asarray(value)
+    except (ValueError, OverflowError):
+        return np.asarray(None)

@@ -101,7 +101,7 @@ def as_controller(controller: Controller | Law) -> Controller:
     TypeError
         If it is neither.
     """
-    if not isinstance(controller, type | Controller) and callable(controller):
+    if callable(controller) and not isinstance(controller, type) and not hasattr(controller, "start"):
         return FunctionController(controller)
     check_controller(controller)
     return cast(Controller, controller)
@@ -127,7 +127,7 @@ def check_controller(controller: object) -> None:
     """
     if isinstance(controller, type):
         raise TypeError(f"Expected a controller object; got the class {controller.__name__}. Call it first.")
-    if not isinstance(controller, Controller):
+    if not callable(getattr(controller, "start", None)):
         raise TypeError(
             f"A controller has a method start(n, rng) that returns act(t, y); {type(controller).__name__} has none."
         )

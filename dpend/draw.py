@@ -27,7 +27,8 @@ from matplotlib.patches import FancyArrow, Rectangle
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
-from .arguments import is_finite
+from . import archive
+from .arguments import checked_positive
 from .params import Array
 from .plant import PUSHES, positions
 from .rig import Rig, single_rig
@@ -270,6 +271,15 @@ def _open_window(pixels: Pixels) -> tuple[Figure, Any]:
 class Plot(Figure):
     """A figure that notebooks show, and that :meth:`show` opens in a window; it belongs to the caller alone."""
 
+    def savefig(self, fname: Any, **options: Any) -> None:  # type: ignore[override]
+        """Write the figure as matplotlib does; a file to its end or not at all."""
+        if not isinstance(fname, str | Path):
+            super().savefig(fname, **options)
+            return
+        path = Path(fname)
+        with archive.atomic(path if path.suffix else path.with_suffix(f".{options.get('format', 'png')}")) as part:
+            super().savefig(part, **options)
+
     def _repr_png_(self) -> bytes:
         file = io.BytesIO()
         self.savefig(file, format="png")
@@ -405,53 +415,25 @@ def draw_strobe(axes: Axes, x: npt.ArrayLike, rig: Rig, *, pictures: int = 16) -
 
 
 def animate_run(run: _Motion, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Film:
-    """Return the path of a film of a run, with time and force above the picture, written there.
+    """Return the path of a film of a run, with time and force above the picture, as ``Run.animate`` says.
 
-    Parameters
-    ----------
-    run : Run
-        The run; each picture shows its last sample before that moment.
-    path : str or Path
-        Where to; the suffix, ``.gif`` or ``.mp4``, chooses the format.
-    fps : float
-        Pictures per second.  A GIF counts in hundredths of a second and shows at most 50, so it takes the nearest
-        that it can hold; it plays at the right speed all the same.
-    speed : float
-        Seconds of the run in a second of film.
-
-    Returns
-    -------
-    Film
-        The path; the file appears under its name only when it is complete, and notebooks play it.
-
-    Raises
-    ------
-    ValueError
-        If the suffix is another, or ``fps`` or ``speed`` is not finite and greater than zero.
-    RuntimeError
-        If an MP4 is asked for and there is no ffmpeg, or ffmpeg fails.
-    OSError
-        If the folder cannot be written to; before anything is drawn.
+    Each picture shows the run's last sample before that moment.  A GIF counts in hundredths of a second and shows at
+    most 50 pictures in one, so it takes the nearest that it can hold.
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
         raise ValueError(f"The suffix chooses the format: expected a path ending in .gif or .mp4; got {str(path)!r}.")
-    for name, number, unit in (("fps", fps, "pictures per second"), ("speed", speed, "seconds of the run per second")):
-        if not (is_finite(number) and number > 0):
-            raise ValueError(f"{name} must be finite and greater than 0, in {unit}; got {number!r}.")
+    fps = checked_positive("fps", fps, "pictures per second")
+    speed = checked_positive("speed", speed, "seconds of the run per second")
     ffmpeg = _find_ffmpeg() if suffix == ".mp4" else ""
     if suffix == ".gif":
         centiseconds = min(max(round(100 / fps), 2), 65535)  # players slow down what is shorter, the format ends there
         fps = 100 / centiseconds
     if path.is_dir():
         raise IsADirectoryError(f"Cannot write the film: {path} is a folder.")
-    part = path.with_name(f".{path.name}.part")
-    try:
+    with archive.atomic(path) as part:
         part.touch()
-    except OSError as error:
-        raise type(error)(f"Cannot write the film into the folder {path.parent}: {error.strerror}.") from error
-    try:
         picture = Picture(run.rig)
         frames = _frames(run, picture, speed / fps)
         if suffix == ".gif":
@@ -459,9 +441,6 @@ def animate_run(run: _Motion, path: str | Path, *, fps: float = 25, speed: float
             _write_gif(part, frames, colorful, milliseconds=round(1000 / fps))
         else:
             _write_mp4(part, frames, fps, ffmpeg)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
     return Film(path)
 
 

@@ -19,6 +19,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 
+from .arguments import checked_array, checked_name
 from .episode import UprightClock
 from .params import Array
 from .rewards import Reward, reward_of
@@ -365,7 +366,7 @@ def checked_forces(forces: npt.ArrayLike | None, rig: Rig) -> Array | None:
             )
         return None
     try:
-        array = np.array(forces, dtype=np.float64)
+        array = checked_array("forces", forces, "forces, N").copy()
     except (TypeError, ValueError):
         array = np.array(np.nan)
     if array.ndim != 1 or len(array) < 2 or not (np.isfinite(array) & (np.abs(array) <= limit)).all():
@@ -390,12 +391,8 @@ def observation_space(observation: str) -> spaces.Space[Array]:
     ValueError
         If there is no such kind of observation.
     """
-    if observation == "raw":
-        high = np.full(6, np.inf)
-    elif observation in ("trig", "scaled"):
-        high = np.array([np.inf, 1.0, 1.0, 1.0, 1.0, np.inf, np.inf, np.inf])
-    else:
-        raise ValueError(f'observation must be "raw", "trig" or "scaled"; got {observation!r}.')
+    trig = checked_name("observation", observation, ("raw", "trig", "scaled")) != "raw"
+    high = np.array([np.inf, 1.0, 1.0, 1.0, 1.0, np.inf, np.inf, np.inf]) if trig else np.full(6, np.inf)
     return spaces.Box(-high, high, dtype=np.float64)  # type: ignore[return-value]  # Box does not know its own dtype
 
 
@@ -407,16 +404,12 @@ def observer(observation: str, rig: Rig) -> Callable[[Array], Array]:
     ValueError
         If scaled observations are asked for on several rigs.
     """
-    if observation == "trig":
-        return with_sines
-    if observation == "scaled":
-        scales = observation_scales(single_rig(rig, 'observation="scaled"'))
-        return partial(observe, scales=scales)
-    return _as_measured
-
-
-def _as_measured(y: Array) -> Array:
-    return y
+    if observation == "raw":
+        return np.asarray
+    scaled = observation == "scaled"
+    return partial(
+        observe, scales=observation_scales(single_rig(rig, 'observation="scaled"')) if scaled else np.ones(4)
+    )
 
 
 def checked_rewards(rewards: npt.ArrayLike, n: int) -> Array:
@@ -441,17 +434,6 @@ def with_length(spec: EnvSpec | None, task: Task) -> EnvSpec | None:
     return spec and replace(spec, max_episode_steps=task.steps)
 
 
-def with_sines(y: Array) -> Array:
-    """Return (pos, sin th1, cos th1, sin th2, cos th2, vel, om1, om2), ``(n, 8)``, of states ``(n, 6)``."""
-    out = np.empty((len(y), 8))
-    out[:, 0] = y[:, 0]
-    out[:, 5:] = y[:, 3:]
-    with np.errstate(invalid="ignore"):  # an infinite angle ends the episode as it is
-        np.sin(y[:, 1:3], out=out[:, 1:4:2])
-        np.cos(y[:, 1:3], out=out[:, 2:5:2])
-    return out
-
-
 def check_render_mode(render_mode: str | None, known: list[str]) -> None:
     """Refuse a way of rendering that there is not.
 
@@ -460,7 +442,7 @@ def check_render_mode(render_mode: str | None, known: list[str]) -> None:
     ValueError
         Unless it is None or known.
     """
-    if render_mode is not None and render_mode not in known:
+    if render_mode is not None and not (isinstance(render_mode, str) and render_mode in known):
         raise ValueError(f"render_mode must be None or one of {', '.join(map(repr, known))}; got {render_mode!r}.")
 
 
@@ -476,7 +458,11 @@ def check_options(options: Mapping[str, Any] | None, known: tuple[str, ...]) -> 
     ------
     ValueError
         If one is unknown; the message suggests the nearest.
+    TypeError
+        If they are no mapping.
     """
+    if options is not None and not isinstance(options, Mapping):
+        raise TypeError(f"options of reset must be a dict, of {', '.join(map(repr, known))}; got {options!r}.")
     for name in options or ():
         if name not in known:
             raise ValueError(f"reset has no option {name!r}.{suggestion(str(name), known)}")

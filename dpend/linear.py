@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from .arguments import checked_array, is_finite
+from .arguments import checked_array, checked_positive, is_finite
 from .params import Array, Params, checked_params
 from .plant import rates
+from .state import one_state
 
 _STEP = 1e-30  # a complex step has no cancellation, so it may be as small as one likes
 
@@ -44,9 +45,7 @@ def linearize(params: Params, x: npt.ArrayLike | None = None, u: float = 0.0) ->
     """
     if checked_params("linearize", params).n is not None:
         raise ValueError(f"linearize takes one plant; got Params with arrays of {params.n} rows.")
-    point = np.zeros(6) if x is None else checked_array("x", x, "a state (6,)")
-    if point.shape != (6,):
-        raise ValueError(f"linearize takes one state of shape (6,); got shape {point.shape}.")
+    point = np.zeros(6) if x is None else one_state("x", x)
     if not is_finite(u):
         raise TypeError(f"u must be one finite force on the cart, N; got {u!r}.")
     moved = point + 1j * _STEP * np.vstack([np.eye(6), np.zeros(6)])
@@ -89,8 +88,7 @@ def discretize(A: npt.ArrayLike, B: npt.ArrayLike, sample_time: float) -> tuple[
     B = checked_array("B", B, "a matrix (n, m)")
     if A.ndim != 2 or A.shape[0] != A.shape[1] or B.ndim != 2 or len(B) != len(A):
         raise ValueError(f"Expected A of shape (n, n) and B of shape (n, m); got {A.shape} and {B.shape}.")
-    if not (is_finite(sample_time) and sample_time > 0):
-        raise ValueError(f"sample_time must be finite and greater than 0 s; got {sample_time!r}.")
+    checked_positive("sample_time", sample_time, "s")
     n, m = B.shape
     held = np.zeros((n + m, n + m))
     held[:n, :n] = A

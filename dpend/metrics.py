@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from .arguments import is_finite
+from .arguments import checked_positive
 from .params import Array
 
 UNITS: Mapping[str, str] = {
@@ -136,8 +136,7 @@ def smoothness_metrics(
     equal steps) and the whole run as one window; ``std_step``: the smoothness of RealAIGym's double pendulum.
     """
     for name, value, unit in (("lag", lag, "s"), ("cutoff", cutoff, "Hz"), ("sample_time", sample_time, "s")):
-        if not (is_finite(value) and value > 0):
-            raise ValueError(f"{name} must be a finite number greater than 0 {unit}; got {value!r}.")
+        checked_positive(name, value, unit)
     u, _, scale = _checked(u, force_limit)
     steps = np.isfinite(u).sum(axis=1)
     measured = {name: np.zeros(len(u)) for name in _OF_SMOOTHNESS}

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked_array
 from .suggest import suggests
 
 Array = npt.NDArray[np.float64]
@@ -74,23 +75,19 @@ def checked_number(name: str, value: object, unit: str, least: float, least_allo
     ValueError
         If an element is not finite, or below what is allowed; the message names field, bound and value.
     """
-    try:
-        array = np.array(value)
-    except ValueError:  # rows of different lengths
-        array = np.array(None)
-    if array.dtype.kind not in "iuf" or array.size == 0:
-        raise TypeError(f"{name} must be a number in {unit}, or an array (N,) with one number per row; got {value!r}.")
-    array = array.astype(np.float64)
-    if array.ndim > 1:
-        raise TypeError(
-            f"{name} must be a number in {unit}, or an array (N,) with one number per row; "
-            f"got an array of shape {array.shape}."
-        )
+    array = checked_array(name, value, f"one in {unit}, or an array (N,) with one per row", finite=False).copy()
+    if array.ndim > 1 or array.size == 0:
+        raise TypeError(f"{name} must be a number in {unit}, or an array (N,); got an array of shape {array.shape}.")
     good = np.isfinite(array) & ((array >= least) if least_allowed else (array > least))
     if not good.all():
         bad = float(array[~good][0]) if array.ndim else float(array)
         bound = "at least" if least_allowed else "greater than"
         raise ValueError(f"{name} must be finite and {bound} {least:g} {unit}; got {bad:g}.")
+    return frozen(array)
+
+
+def frozen(array: npt.NDArray[Any]) -> Number:
+    """Return a single number as a float, an array read-only."""
     if array.ndim == 0:
         return float(array)
     array.setflags(write=False)
@@ -183,6 +180,13 @@ class Params:
                 continue
             object.__setattr__(self, name, checked_number(name, value, *bounds))
         self.n  # noqa: B018  (raises where array lengths differ)
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                finite = all(np.isfinite(number).all() for number in self.coefficients())
+        except OverflowError:
+            finite = False
+        if not finite:
+            raise ValueError("The plant's moments are beyond all numbers: are masses in kg and lengths in m?")
         if np.any((np.asarray(self.centers[1]) == 0) & (np.asarray(self.inertias[1]) == 0)):
             raise ValueError(
                 "Link 2 has neither an inertia nor a lever arm, so nothing resists its rotation; "

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from . import equations
-from .arguments import checked_array, is_finite
+from .arguments import checked_array, checked_positive
 from .params import Array, Params, checked_params
+from .state import one_state, state_rows
 
 PUSHES = {"push_cart": "on cart [N]", "push_link1": "on link 1 [N m]", "push_link2": "on link 2 [N m]"}
 """What a run's log calls the generalised forces that acted beside the actuator, and what figures call them."""
 
-_MOST_EVALUATIONS = 50_000  # of the rates, in an interval of the reference
+_MOST_EVALUATIONS = 30_000  # of the rates, in an interval of the reference
 
 _rates = equations.make_rates(np.sin, np.cos)
+_scalar_rates = equations.make_rates(math.sin, math.cos)
 _energies = equations.make_energies(np.cos)
 _positions = equations.make_positions(np.sin, np.cos)
 
@@ -41,13 +44,6 @@ class Positions(NamedTuple):
     y_joint: Array
     x_tip: Array
     y_tip: Array
-
-
-def _numbers(x: npt.ArrayLike) -> npt.NDArray[Any]:
-    x = checked_array("x", x, "states (..., 6)", finite=False, complex_too=True)
-    if x.ndim == 0 or x.shape[-1] != 6:
-        raise ValueError(f"A state has six numbers: expected an array of shape (..., 6); got shape {x.shape}.")
-    return x
 
 
 def rates(x: npt.ArrayLike, u: npt.ArrayLike, params: Params) -> npt.NDArray[Any]:
@@ -75,7 +71,7 @@ def rates(x: npt.ArrayLike, u: npt.ArrayLike, params: Params) -> npt.NDArray[Any
     ValueError
         If a state does not have six numbers, or the forces or plants have another shape.
     """
-    x = _numbers(x)
+    x = state_rows("x", x, complex_too=True)
     u = checked_array("u", u, "forces on the cart, or generalised forces (..., 3)", finite=False, complex_too=True)
     c = checked_params("rates", params).coefficients()
     generalised = u.ndim == x.ndim and u.shape[-1] == 3
@@ -116,7 +112,7 @@ def energies(x: npt.ArrayLike, params: Params) -> Energies:
     TypeError, ValueError
         As :func:`rates`.
     """
-    x, c = _numbers(x), checked_params("energies", params).coefficients()
+    x, c = state_rows("x", x, complex_too=True), checked_params("energies", params).coefficients()
     try:
         return Energies(*_energies(np.moveaxis(x, -1, 0), c))
     except ValueError:
@@ -143,7 +139,7 @@ def positions(x: npt.ArrayLike, params: Params) -> Positions:
     TypeError, ValueError
         As :func:`rates`.
     """
-    x, c = _numbers(x), checked_params("positions", params).coefficients()
+    x, c = state_rows("x", x, complex_too=True), checked_params("positions", params).coefficients()
     try:
         return Positions(*_positions(np.moveaxis(x, -1, 0), c))
     except ValueError:
@@ -181,13 +177,11 @@ def reference(
         If a number is not finite, there are several plants, the state is not one, the times do not increase, or the
         forces do not match the intervals between them.
     RuntimeError
-        If an interval takes more than 50 000 evaluations of the rates, as from rates beyond all reason.
+        If an interval takes more than 30 000 evaluations of the rates, as from rates beyond all reason.
     """
     if checked_params("reference", params).n is not None:
         raise ValueError(f"reference takes one plant; got Params with arrays of {params.n} rows.")
-    state = checked_array("x0", x0, "a state (6,)")
-    if state.shape != (6,):
-        raise ValueError(f"x0 must be one state of shape (6,); got shape {state.shape}.")
+    state = one_state("x0", x0)
     times = checked_array("t", t, "increasing times (T + 1,), s")
     if times.ndim != 1 or not (len(times) and (np.diff(times) > 0).all()):
         raise ValueError(f"t must be increasing times of shape (T + 1,), s; got {t!r}.")
@@ -195,8 +189,7 @@ def reference(
     if forces.shape not in ((len(times) - 1,), (len(times) - 1, 3)):
         raise ValueError(f"Expected one force, or three, for each of {len(times) - 1} intervals; got {forces.shape}.")
     for name, tolerance in (("rtol", rtol), ("atol", atol)):
-        if not (is_finite(tolerance) and tolerance > 0):
-            raise ValueError(f"{name} must be finite and greater than 0; got {tolerance!r}.")
+        checked_positive(name, tolerance)
     states = [state]
     for force, start, end in zip(forces, times[:-1], times[1:], strict=True):
         states.append(_integrated(params, states[-1], force, start, end, rtol, atol))
@@ -207,11 +200,14 @@ def _integrated(params: Params, x0: Array, force: Array, start: float, end: floa
     from scipy.integrate import solve_ivp  # only checks need scipy's integrators
 
     spent = itertools.count(1)
+    c = params.coefficients()
+    f = force.tolist() if force.ndim else (float(force), 0.0, 0.0)
 
     def slope(_: float, x: Array) -> Array:
-        if next(spent) > _MOST_EVALUATIONS:
+        numbers = x.tolist()
+        if next(spent) > _MOST_EVALUATIONS or not all(map(math.isfinite, numbers)):
             raise failed
-        return rates(x, force, params)
+        return np.array(_scalar_rates(numbers, f, c))
 
     failed = RuntimeError(
         f"The reference cannot follow the motion from {start:g} s to {end:g} s, which starts at {x0}: are the units "

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .arguments import is_finite
+from .arguments import checked_name, is_finite
 from .params import Array
 from .rig import Rig, single_rig
 from .state import NAMES
@@ -70,8 +70,7 @@ def read_recording(
             raise ValueError(f"{name} must be a finite number other than 0, in SI units per unit; got {unit!r}.")
     if not (is_finite(tolerance) and tolerance >= 0):
         raise ValueError(f"tolerance must be a share of the sample time, at least 0; got {tolerance!r}.")
-    if zero not in ("up", "down"):
-        raise ValueError(f'zero must be "up" or "down", where the angles are counted from; got {zero!r}.')
+    checked_name("zero", zero, ("up", "down"))
     single_rig(rig, "A recording")
     headings = _chosen(columns) | ({"u": None, "command": None} if clamped else {})
     table = _read_table(Path(path), headings, ("t", "th1", "th2") if clamped else ("t", "pos", "th1", "th2"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import reprlib
 import tomllib
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, replace
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from . import archive
+from .arguments import checked_array, checked_whole
 from .equations import make_acceleration_slopes
-from .params import Number, Params, checked_number, common_length, unit_of
+from .params import Array, Number, Params, checked_number, common_length, frozen, unit_of
 from .suggest import suggestion, suggests
 
 Count = int | npt.NDArray[np.int64]
@@ -25,59 +28,54 @@ _slopes = make_acceleration_slopes(np.sin, np.cos)
 _UPRIGHT_TO_FOLDED = np.pi / 4 * np.mgrid[0:5, 0:8].reshape(2, -1, 1)  # by symmetry half of all angles
 _STABLE = 2.0  # of the 2.785 up to which Runge-Kutta steps damp
 _MOST_SUBSTEPS = 1000
+_MOST_DELAY = 100_000
 
 
 def _checked_limit(name: str, value: object, unit: str) -> Number:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.array(np.nan)
-    if array.ndim > 1 or not (array > 0).all():
+    array = _numbers(value)
+    if array.ndim > 1 or not array.size or not (array > 0).all():
         raise ValueError(
             f"{name} must be greater than zero, in {unit} (inf for none), or an array (N,) of such; got {value!r}."
         )
-    if array.ndim == 0:
-        return float(array)
-    array.setflags(write=False)
-    return array
+    return frozen(array)
 
 
 def _checked_samples(name: str, value: object) -> Count:
-    array = np.array(value)
+    array = _numbers(value)
     if (
-        array.dtype.kind not in "iuf"
-        or array.ndim > 1
-        or not np.all(np.isfinite(array) & (array == np.rint(array)) & (array >= 0))
+        array.ndim > 1
+        or not array.size
+        or not np.all((array == np.rint(array)) & (array >= 0) & (array <= _MOST_DELAY))
     ):
         raise ValueError(
-            f"{name} must be a whole number of samples, at least 0, or an array (N,) of such; got {value!r}. "
+            f"{name} must be a whole number of samples, 0 to {_MOST_DELAY}, or an array (N,) of such; got {value!r}. "
             "A delay of d seconds is round(d / sample_time) samples."
         )
-    if array.ndim == 0:
-        return int(array)
     samples = array.astype(np.int64)
     samples.setflags(write=False)
-    return samples
+    return samples if samples.ndim else int(samples)
 
 
 def _checked_per_state(name: str, value: object) -> Number:
     """Check a number for all six states, or an array (6,), (N, 1) or (N, 6)."""
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.array(np.nan)
+    array = _numbers(value)
     shape_good = array.ndim == 0 or array.shape == (6,) or (array.ndim == 2 and array.shape[1] in (1, 6))
     if not shape_good or not (np.isfinite(array) & (array >= 0)).all():
         raise ValueError(
             f"{name} must be finite and at least 0: one number, one per state (6,), or (N, 1) or (N, 6) "
             f"with one row per run; got {value!r}."
         )
-    if array.ndim == 0:
-        return float(array)
     if array.ndim == 2:  # a row of it then always has six entries
         array = np.repeat(array, 6 // array.shape[1], axis=1)
-    array.setflags(write=False)
-    return array
+    return frozen(array)
+
+
+def _numbers(value: object) -> Array:
+    """Return numbers as a new array, NaN for what is none."""
+    try:
+        return checked_array("", value, "", finite=False).copy()
+    except TypeError:
+        return np.array(np.nan)
 
 
 @suggests
@@ -139,15 +137,9 @@ class Rig:
         sample_time = checked_number("sample_time", self.sample_time, "s", 0.0, False)
         if not isinstance(sample_time, float):
             raise TypeError("sample_time must be a single number: all rows of a batch share one clock.")
-        substeps = self.substeps
-        if isinstance(substeps, bool) or not isinstance(substeps, int | np.integer) or substeps < 1:
-            raise ValueError(
-                f"The sample time must be a whole multiple of the substep: expected substeps to be an integer, "
-                f"at least 1; got {substeps!r} for a sample time of {sample_time:g} s."
-            )
         checked = {
             "sample_time": sample_time,
-            "substeps": self._stable_substeps(sample_time, int(substeps)),
+            "substeps": self._stable_substeps(sample_time, checked_whole("substeps", self.substeps)),
             "force_limit": _checked_limit("force_limit", self.force_limit, "N"),
             "track_limit": _checked_limit("track_limit", self.track_limit, "m"),
             "actuator_lag": checked_number("actuator_lag", self.actuator_lag, "s", 0.0, True),
@@ -230,9 +222,17 @@ class Rig:
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Rig:
-        """Return the rig that :meth:`to_dict` described; lists stand for arrays."""
-        record = dict(record)
-        return cls(params=Params(**record.pop("params")), **record)
+        """Return the rig that :meth:`to_dict` described; lists stand for arrays.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If it describes none.
+        """
+        if not isinstance(record, dict) or not isinstance(record.get("params"), dict):
+            raise TypeError(f"Expected a dict of a rig's fields, its params a dict too; got {reprlib.repr(record)}.")
+        own = {name: value for name, value in record.items() if name != "params"}
+        return cls(params=Params(**record["params"]), **own)
 
     def to_toml(self, path: str | Path) -> Path:
         """Write the rig as TOML: its own fields first, then the plant's under ``[params]``.
@@ -240,7 +240,7 @@ class Rig:
         Parameters
         ----------
         path : str or Path
-            Where to.
+            Where to; the file is written to its end or not at all.
 
         Returns
         -------
@@ -254,7 +254,8 @@ class Rig:
         """
         path = Path(path)
         lines = [*_toml_lines(self._own()), "", "[params]", *_toml_lines(self.params.to_dict())]
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        with archive.atomic(path) as part:
+            part.write_text("\n".join(lines) + "\n", encoding="utf-8")
         return path
 
     @classmethod

@@ -163,14 +163,15 @@ class Run:
         path : str or Path
             Where to; the suffix, ``.gif`` or ``.mp4``, chooses the format.
         fps : float
-            Pictures per second; a GIF takes the nearest that it can hold, and plays at the right speed all the same.
+            Pictures per second; a GIF takes the nearest that it can hold, at most 50, and plays at the right speed all
+            the same.
         speed : float
             Seconds of the run in a second of film.
 
         Returns
         -------
         Film
-            The path, which notebooks play.
+            The path, which notebooks play; the file appears under its name only when it is complete.
 
         Raises
         ------
@@ -416,20 +417,8 @@ class Runs:
 
         Parameters
         ----------
-        lag : float
-            Time constant of the lag after which the force's rate of change is measured, s.
-        cutoff : float
-            Frequency above which the share of the force's power is measured, Hz.
-
-        Returns
-        -------
-        dict of ndarray (N,)
-            What :func:`dpend.metrics.smoothness_metrics` says of each; units are in ``dpend.metrics.UNITS``.
-
-        Raises
-        ------
-        ValueError
-            If ``lag`` or ``cutoff`` is not a finite number greater than zero.
+        lag, cutoff
+            See :meth:`Run.smoothness`, also for what is refused.
         """
         return smoothness_metrics(self.u, self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from time import perf_counter
@@ -9,14 +10,14 @@ from time import perf_counter
 import numpy as np
 import numpy.typing as npt
 
-from .arguments import checked_seed, checked_whole
+from .arguments import checked_seed, checked_whole, is_finite
 from .controller import Act, Controller, Law, LawError, as_controller, is_batched, name_of
 from .episode import UprightClock
 from .params import Array
 from .plant import PUSHES
 from .rig import Rig, as_rig
 from .run import Run, Runs
-from .state import as_states
+from .state import as_states, one_state
 from .status import Status
 from .stepper import CONTROLLER_STREAM, Stepper, checked_forces, checked_push, row_sequence
 from .tasks import Balance, NoTask, Task, checked_task
@@ -77,9 +78,9 @@ def simulate(
     Where a law returns NaN or an infinite force, its last finite one counts, zero at first, and the log's
     ``"not_finite"`` is one.
     """
-    if np.shape(x0) != (6,):
-        raise ValueError(f"x0 must be one state of shape (6,); got shape {np.shape(x0)}.")
-    run = simulate_many(rig, controller, as_states(x0), duration, task=task, push=push, seed=seed, record=True)[0]
+    run = simulate_many(
+        rig, controller, one_state("x0", x0)[None], duration, task=task, push=push, seed=seed, record=True
+    )[0]
     if len(run.t) == 1:
         raise ValueError(
             f"The run would end where it starts, at x0 = {np.asarray(x0).tolist()}: {run.status.value} "
@@ -107,17 +108,10 @@ def simulate_many(
     ----------
     rig : Rig
         The true rig or rigs.
-    controller : Controller or callable
-        The law; a plain function ``law(t, x)`` of one state ``(6,)`` will do.
     x0 : array_like (N, 6)
         The initial states.
-    duration : float, optional
-        Seconds, a whole number of samples; left out, the task's full length.
-    task : Task, optional
-        What ends a run and what counts as success; None ends it only at the track's end.
-    push : callable, optional
-        Generalised forces that act beside the actuator's, as a function of time, held over each sample; the run's log
-        keeps them as ``push_cart`` (N), ``push_link1`` and ``push_link2`` (N m).
+    controller, duration, task, push
+        See :func:`simulate`; a push may be ``(N, 3)``.
     seed : int
         What the disturbances are drawn from: row ``i`` from ``(seed, first_row + i)``.
     first_row : int
@@ -137,11 +131,6 @@ def simulate_many(
         Before anything runs, if an argument is wrong.
     LawError
         If the law fails while it runs; the error keeps the runs so far.
-
-    Notes
-    -----
-    Where a law returns NaN or an infinite force, its last finite one counts, zero at first, and the log's
-    ``"not_finite"`` is one.
     """
     rig = as_rig(rig)
     controller = as_controller(controller)
@@ -155,6 +144,7 @@ def simulate_many(
     workers = checked_whole("workers", workers)
     the_task: Task = NoTask() if task is None else checked_task(task)
     samples = _samples(rig, the_task, duration)
+    _check_memory(samples, len(states), record)
     if push is not None:
         if not callable(push):
             raise TypeError(f"push must be a function of time, such as lambda t: (1.0, 0.0, 0.0); got {push!r}.")
@@ -195,7 +185,7 @@ def _samples(rig: Rig, task: Task, duration: float | None) -> int:
         return task.steps
     if not isinstance(duration, int | float | np.integer | np.floating):
         raise TypeError(f"duration must be a number of seconds; got {duration!r}.")
-    samples = round(duration / rig.sample_time) if np.isfinite(duration) else 0
+    samples = round(duration / rig.sample_time) if is_finite(duration) else 0
     if samples < 1 or abs(samples * rig.sample_time - duration) > 1e-9 * duration:
         near = max(samples, 1) * rig.sample_time
         raise ValueError(
@@ -203,6 +193,23 @@ def _samples(rig: Rig, task: Task, duration: float | None) -> int:
             f"got {duration!r} s. The nearest is {near:g} s."
         )
     return samples
+
+
+def _check_memory(samples: int, rows: int, record: bool) -> None:
+    """Refuse records that this machine cannot hold.
+
+    Raises
+    ------
+    ValueError
+        If forces and states would take more than its memory.
+    """
+    needed = samples * rows * (128 if record else 32) // 2**30
+    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2**30 if hasattr(os, "sysconf") else 64
+    if needed > there:
+        raise ValueError(
+            f"{rows} x {samples} samples take {needed} GiB, and this machine has {there} GiB: shorten the duration, "
+            "simulate fewer rows at a time, or leave out record."
+        )
 
 
 def _simulate_block(

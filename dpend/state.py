@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked_array
 from .params import Array
 from .suggest import suggestion
 
@@ -51,7 +53,8 @@ def wrap(angle: npt.ArrayLike) -> Array:
     ndarray
         The same shape, within :math:`[-\pi, \pi]`.
     """
-    return wrap_angle(np.asarray(angle, dtype=np.float64))
+    with np.errstate(invalid="ignore"):  # an infinite angle has no nearest turn
+        return wrap_angle(checked_array("angle", angle, "angles, rad", finite=False))
 
 
 def nearest_upright(x: npt.ArrayLike) -> Array:
@@ -67,9 +70,25 @@ def nearest_upright(x: npt.ArrayLike) -> Array:
     ndarray
         New states ``(..., 6)``, angles within one half turn of upright.
     """
-    x = np.array(x, dtype=np.float64)
+    x = state_rows("x", x).copy()
     x[..., 1:3] = wrap_angle(x[..., 1:3])
     return x
+
+
+def state_rows(name: str, x: npt.ArrayLike, *, complex_too: bool = False) -> npt.NDArray[Any]:
+    """Return states of any shape ``(..., 6)`` as an array, finite or not.
+
+    Raises
+    ------
+    TypeError
+        If they are not made of numbers.
+    ValueError
+        If a state does not have six.
+    """
+    array = checked_array(name, x, "states (..., 6)", finite=False, complex_too=complex_too)
+    if array.ndim == 0 or array.shape[-1] != 6:
+        raise ValueError(f"A state has six numbers: expected an array of shape (..., 6); got shape {array.shape}.")
+    return array
 
 
 def deviation(x: npt.ArrayLike, target: npt.ArrayLike) -> Array:
@@ -87,7 +106,13 @@ def deviation(x: npt.ArrayLike, target: npt.ArrayLike) -> Array:
     ndarray
         New differences, angles within :math:`[-\pi, \pi]`.
     """
-    return nearest_upright(np.asarray(x, dtype=np.float64) - np.asarray(target, dtype=np.float64))
+    x, target = state_rows("x", x), state_rows("target", target)
+    try:
+        away = x - target
+    except ValueError:
+        raise ValueError(f"States of shape {x.shape} and targets of shape {target.shape} do not broadcast.") from None
+    away[..., 1:3] = wrap_angle(away[..., 1:3])
+    return away
 
 
 def as_equilibrium(target: str | npt.ArrayLike) -> Array:
@@ -112,7 +137,7 @@ def as_equilibrium(target: str | npt.ArrayLike) -> Array:
         if target not in EQUILIBRIA:
             raise ValueError(f"There is no equilibrium {target!r}.{suggestion(target, EQUILIBRIA)}")
         return EQUILIBRIA[target]
-    x = np.array(target, dtype=np.float64)
+    x = checked_array("target", target, "the name of an equilibrium, or a state (6,)", finite=False).copy()
     at_rest = x.shape == (6,) and np.isfinite(x).all() and not x[3:].any()
     if not at_rest or np.abs(np.sin(x[1:3])).max() > 1e-9:
         raise ValueError(
@@ -121,6 +146,22 @@ def as_equilibrium(target: str | npt.ArrayLike) -> Array:
         )
     x.setflags(write=False)
     return x
+
+
+def one_state(name: str, x: npt.ArrayLike) -> Array:
+    """Return one finite state as a new array ``(6,)``.
+
+    Raises
+    ------
+    TypeError
+        If it is not made of numbers.
+    ValueError
+        If it has another shape, or a number is not finite.
+    """
+    state = checked_array(name, x, "a state (6,)", finite=False)
+    if state.shape != (6,):
+        raise ValueError(f"{name} must be one state of shape (6,); got shape {state.shape}.")
+    return as_states(state)[0]
 
 
 def as_states(x: npt.ArrayLike, n: int | None = None) -> Array:
@@ -143,8 +184,8 @@ def as_states(x: npt.ArrayLike, n: int | None = None) -> Array:
     ValueError
         If the shape is another, or a number is not finite.
     """
-    array = np.array(x, dtype=np.float64)
-    if array.ndim == 1 and array.shape == (6,):
+    array = checked_array("x", x, "states (N, 6) or one state (6,)", finite=False)
+    if array.shape == (6,):
         array = np.repeat(array[None], 1 if n is None else n, axis=0)
     if array.ndim != 2 or array.shape[1] != 6 or (n is not None and len(array) != n):
         rows = "N" if n is None else n
@@ -155,4 +196,4 @@ def as_states(x: npt.ArrayLike, n: int | None = None) -> Array:
     if not np.isfinite(array).all():
         row, column = np.argwhere(~np.isfinite(array))[0]
         raise ValueError(f"States must be finite; got {array[row, column]} for {NAMES[column]} in row {row}.")
-    return np.ascontiguousarray(array)
+    return np.array(array, order="C")

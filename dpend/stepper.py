@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked_array, checked_seed, checked_whole
 from .params import Array
 from .rig import Rig, as_rig
 from .state import as_states
@@ -34,7 +35,7 @@ def checked_push(push: npt.ArrayLike, n: int) -> Array:
     ValueError
         If they have another shape.
     """
-    array = np.asarray(push, dtype=np.float64)
+    array = checked_array("A push", push, "a force in N and torques in N m, (3,)", finite=False)
     if array.shape not in ((3,), (n, 3)):
         raise ValueError(
             "A push is a force on the cart in N and torques on link 1 and link 2 in N m: "
@@ -53,7 +54,7 @@ def checked_forces(u: npt.ArrayLike, n: int) -> Array:
     """
     try:
         forces = np.array(u, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"Expected one force per row, shape ({n},); got {u!r}.") from None
     if forces.shape != (n,):
         column = " A law written as y @ K.T returns a column: take [:, 0]." if forces.shape == (n, 1) else ""
@@ -126,16 +127,15 @@ class Stepper:
 
     Raises
     ------
-    ValueError
-        If the rig describes another number of rows.
+    TypeError, ValueError
+        If the rig describes another number of rows, or a number is no whole one.
     """
 
     def __init__(self, rig: Rig, n: int, seed: int = 0, first_row: int = 0) -> None:
         from .kernels import plant_step  # numba loads with the first stepper, not with `import dpend`
 
         rig = as_rig(rig)
-        if n < 1:
-            raise ValueError(f"A stepper has at least one row; got n={n}.")
+        n, seed, first_row = checked_whole("n", n), checked_seed("seed", seed), checked_seed("first_row", first_row)
         if rig.n not in (None, n):
             raise ValueError(f"The rig describes {rig.n} rows; expected {n}, or single values shared by all rows.")
         self.rig = rig

@@ -65,16 +65,8 @@ def substep_function(rig: Rig, *, free_step: bool = False) -> Any:
 
     Parameters
     ----------
-    rig : Rig
-        The plant and its clock; actuator and sensors are left out.
-    free_step : bool
-        Whether the length of the sample is a third argument rather than the rig's.
-
-    Returns
-    -------
-    casadi.Function
-        From the state ``(6,)``, the force on the cart in N, held, and with ``free_step`` the sample time in s, to the
-        state ``(6,)`` afterwards.
+    rig, free_step
+        See :func:`sample_function`, also for what the function takes and returns.
     """
     x, u, h = casadi.SX.sym("x", 6), casadi.SX.sym("u"), casadi.SX.sym("h")
     time = [h] if free_step else []

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from .arguments import checked_whole, is_finite
+from .arguments import checked_name, checked_positive, checked_whole, is_finite
 from .deprecation import renamed_arguments, renamed_exports
 from .params import Array
 from .rig import Rig
@@ -107,8 +107,8 @@ class ReportCost:
     failure_cost: float = 0.0
 
     def __post_init__(self) -> None:
-        weights = tuple(self.state_weights)
-        if len(weights) != 3 or not all(is_finite(weight) and weight >= 0 for weight in weights):
+        weights = np.asarray(self.state_weights, dtype=object)
+        if weights.shape != (3,) or not all(is_finite(weight) and weight >= 0 for weight in weights):
             raise ValueError(
                 f"state_weights must be three finite numbers, at least 0, for |pos|, |th1| and |th2|; "
                 f"got {self.state_weights!r}."
@@ -171,8 +171,7 @@ class Balance(ReportCost):
         super().__post_init__()
         check_lam(self.lam)
         checked_whole("steps", self.steps)
-        if self.criterion not in ("strict", "report"):
-            raise ValueError(f'criterion must be "strict" or "report"; got {self.criterion!r}.')
+        checked_name("criterion", self.criterion, ("strict", "report"))
 
     @property
     def hold(self) -> float:
@@ -259,9 +258,7 @@ class SwingUp(ReportCost):
     def __post_init__(self) -> None:
         super().__post_init__()
         checked_whole("steps", self.steps)
-        if not isinstance(self.start, str) or (self.start != "anywhere" and self.start not in STARTS):
-            known = (*STARTS, "anywhere")
-            raise ValueError(f"start must be one of {', '.join(map(repr, known))}; got {self.start!r}.")
+        checked_name("start", self.start, (*STARTS, "anywhere"))
         if not isinstance(self.target, str):
             raise ValueError(
                 f"target must be the name of an equilibrium, {', '.join(EQUILIBRIA)}; got {self.target!r}."
@@ -269,8 +266,7 @@ class SwingUp(ReportCost):
         as_equilibrium(self.target)
         if not (is_finite(self.angle_spread) and 0 <= self.angle_spread <= math.pi):
             raise ValueError(f"angle_spread must be within 0 and pi rad; got {self.angle_spread!r}.")
-        if not (is_finite(self.hold) and self.hold > 0):
-            raise ValueError(f"hold must be finite and greater than 0 s; got {self.hold!r}.")
+        checked_positive("hold", self.hold, "s")
         if not (is_finite(self.upright_angle) and 0 < self.upright_angle < math.pi):
             raise ValueError(f"upright_angle must be between 0 and pi rad; got {self.upright_angle!r}.")
 

@@ -14,7 +14,7 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
-from .arguments import checked_whole
+from .arguments import checked_name, checked_whole
 from .env import (
     action_space,
     check_options,
@@ -174,13 +174,9 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
                 f"got num_envs={num_envs}."
             )
         self.render_mode = render_mode
-        try:
-            self._mode = AutoresetMode(autoreset_mode)
-        except ValueError:
-            modes = ", ".join(repr(mode.value) for mode in AutoresetMode)
-            raise ValueError(
-                f"autoreset_mode must be a gymnasium.vector.AutoresetMode or one of {modes}; got {autoreset_mode!r}."
-            ) from None
+        if not isinstance(autoreset_mode, AutoresetMode):
+            checked_name("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
+        self._mode = AutoresetMode(autoreset_mode)
         self.metadata = self.metadata | {
             "render_fps": frames_per_second(self.rig),
             "autoreset_mode": self._mode,

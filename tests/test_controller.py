@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import dpend
+from controllers import LQR, BangBang, LowPass, Predictor, RateLimit, SwitchingController, WithEstimator
 from dpend import LawError, Status, simulate, simulate_many
 from dpend.controller import Act, FunctionController, as_controller, is_batched, name_of
 from dpend.params import Array
@@ -62,6 +63,22 @@ def test_a_plain_function_gets_states_of_its_own_and_may_return_an_array_of_one_
     assert seen == [(6,)] * 5
     assert run.u.tolist() == [1.0] * 5
     assert np.isfinite(run.y).all()
+
+
+@pytest.mark.parametrize(
+    "around",
+    [
+        lambda law: RateLimit(RIG, law, 400.0),
+        lambda law: LowPass(RIG, law, frequency=20.0),
+        lambda law: BangBang(law, 10.0),
+        lambda law: WithEstimator(Predictor(RIG), law),
+        lambda law: SwitchingController(RIG, law, LQR(RIG)),
+    ],
+)
+def test_a_plain_function_may_stand_inside_a_wrapper(around: Callable[[Any], Any]) -> None:
+    plain, described = (simulate(RIG, around(law), STARTS[0], 1.0) for law in (by_hand, FunctionController(by_hand)))
+    assert_array_equal(plain.u, described.u)
+    assert "by_hand" in plain.controller
 
 
 def test_what_has_a_start_stays_as_it_is_and_a_function_is_run_row_by_row_and_may_be_sent() -> None:

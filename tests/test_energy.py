@@ -173,7 +173,7 @@ def test_pumping_brings_the_energy_up_within_the_limits_of_the_rig() -> None:
 
 @pytest.mark.parametrize("kind", [EnergySwingUp, EnergyPump])
 def test_wrong_use_is_refused(kind: type[EnergySwingUp] | type[EnergyPump]) -> None:
-    with pytest.raises(ValueError, match=whole("k_x must be a finite number greater than 0; got 0.")):
+    with pytest.raises(ValueError, match=whole("k_x must be finite and greater than 0; got 0.")):
         kind("gustafsson2016", k_x=0)
     with pytest.raises(ValueError, match=whole("perturbation must be a finite force in N; got inf.")):
         kind("gustafsson2016", perturbation=np.inf)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from rigs import whole
+from scipy.stats import t as student
 
 import dpend
 from controllers import LQR, Zero
@@ -84,6 +85,20 @@ def test_intervals_cover_the_truth_about_as_often_as_they_say_over_many_recordin
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seconds", [0.14, 0.28])
+def test_intervals_are_students_with_what_the_fit_leaves_of_the_data(seconds: float) -> None:
+    """A number each for the six of every segment's state and for every parameter; few are left, so each one counts."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # so short a residual has some autocorrelation by chance
+        found = identify(recorded(3, seconds), TRUE, ("cart_mass", "mass2"), segment=0.12)
+    segments, samples, outputs = found.residuals.shape
+    assert (segments, samples) == (round(seconds / 0.14), 7)
+    quantile = student.ppf(0.975, segments * samples * outputs - 6 * segments - 2)
+    for name, (low, high) in found.intervals.items():
+        half = quantile * found.errors[name] / found.values[name]
+        assert_allclose([low, high], found.values[name] * np.exp([-half, half]), rtol=1e-9)
+
+
 def test_intervals_hold_where_all_noise_is_rounding() -> None:
     assert 0.90 <= coverage(range(2000, 2030), sensor_noise=0.0) <= 0.99
 

@@ -448,7 +448,7 @@ def test_a_rig_twice_as_long_with_time_scaled_alike_moves_alike() -> None:
             {"Q": (1, 2, 3)},
             "Q must be six finite weights, at least 0, of pos, th1, th2, vel, om1, om2; got (1, 2, 3).",
         ),
-        ({"R": 0.0}, "R, the weight of the force, must be a finite number greater than 0; got 0.0."),
+        ({"R": 0.0}, "R must be finite and greater than 0; got 0.0."),
         (
             {"target": (2.3, 0, 0, 0, 0, 0)},
             "The target must be clear of the track's end: expected |pos| < 2.25 m; got 2.3 m.",

@@ -196,7 +196,7 @@ _PLANT = random_params(np.random.default_rng(3))
             lambda: linearize(random_params(np.random.default_rng(4), 3)),
             "linearize takes one plant; got Params with arrays of 3 rows.",
         ),
-        (lambda: linearize(_PLANT, np.zeros((2, 6))), "linearize takes one state of shape (6,); got shape (2, 6)."),
+        (lambda: linearize(_PLANT, np.zeros((2, 6))), "x must be one state of shape (6,); got shape (2, 6)."),
         (
             lambda: discretize(np.eye(6), np.zeros(6), 0.1),
             "Expected A of shape (n, n) and B of shape (n, m); got (6, 6) and (6,).",

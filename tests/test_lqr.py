@@ -135,14 +135,17 @@ def test_a_continuous_gain_too_high_for_the_sample_time_is_warned_of(name: str) 
             "Q weighs the six states (pos, th1, th2, vel, om1, om2): expected a diagonal (6,) or a matrix (6, 6); "
             "got shape (5,).",
         ),
-        (lambda rig: LQR(rig, Q=np.eye(6) + np.eye(6, k=1)), "Q must be finite and symmetric."),
-        (lambda rig: LQR(rig, Q=[1, 1, np.nan, 1, 1, 1]), "Q must be finite and symmetric."),
+        (lambda rig: LQR(rig, Q=np.eye(6) + np.eye(6, k=1)), "Q must be symmetric."),
+        (
+            lambda rig: LQR(rig, Q=[1, 1, np.nan, 1, 1, 1]),
+            "Q must be finite: a diagonal (6,) or a matrix (6, 6); got [1, 1, nan, 1, 1, 1].",
+        ),
         (lambda rig: LQR(rig, Q=[1, 1, -2, 1, 1, 1]), "Q must be positive semidefinite; its least eigenvalue is -2."),
-        (lambda rig: LQR(rig, R=0.0), "R, the weight of the force, must be a finite number greater than 0; got 0.0."),
-        (lambda rig: LQR(rig, R=-1.0), "R, the weight of the force, must be a finite number greater than 0; got -1.0."),
+        (lambda rig: LQR(rig, R=0.0), "R, the weight of the force, must be finite and greater than 0; got 0.0."),
+        (lambda rig: LQR(rig, R=-1.0), "R, the weight of the force, must be finite and greater than 0; got -1.0."),
         (
             lambda rig: LQR(rig, R=np.inf),
-            "R, the weight of the force, must be a finite number greater than 0; got inf.",
+            "R, the weight of the force, must be finite and greater than 0; got inf.",
         ),
         (
             lambda rig: LQR(rig, design="analogue"),  # pyright: ignore[reportArgumentType]

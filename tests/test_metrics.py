@@ -197,9 +197,9 @@ def test_a_run_gives_the_smoothness_of_its_force() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"lag": 0.0}, "lag must be a finite number greater than 0 s; got 0.0."),
-        ({"cutoff": -1.0}, "cutoff must be a finite number greater than 0 Hz; got -1.0."),
-        ({"cutoff": np.inf}, "cutoff must be a finite number greater than 0 Hz; got inf."),
+        ({"lag": 0.0}, "lag must be finite and greater than 0 s; got 0.0."),
+        ({"cutoff": -1.0}, "cutoff must be finite and greater than 0 Hz; got -1.0."),
+        ({"cutoff": np.inf}, "cutoff must be finite and greater than 0 Hz; got inf."),
     ],
 )
 def test_a_lag_or_cutoff_that_is_none_is_refused(settings: dict[str, float], message: str) -> None:

@@ -212,6 +212,22 @@ def test_a_clock_that_is_not_the_rigs_is_refused_with_the_remedy(tmp_path: Path)
     )
 
 
+@pytest.mark.parametrize("name", ["th1", "th2"])
+def test_a_link_may_turn_a_hundred_times_and_no_further(tmp_path: Path, name: str) -> None:
+    def turning(turns: float) -> dict[str, Array]:
+        t = 0.02 * np.arange(2001, dtype=np.float64)
+        return {"t": t, "pos": 0 * t, "th1": 0 * t, "th2": 0 * t, "u": 0 * t} | {name: 2 * np.pi * turns * t / 40}
+
+    last = Run.from_csv(written(tmp_path / "run.csv", turning(99.9)), RIG).x[-1, NAMES.index(name)]
+    assert last == pytest.approx(2 * np.pi * 99.9)
+    refused(
+        tmp_path,
+        turning(100.1),
+        f"{name} in {{file}} reaches 629 rad, more than the 628 rad that such a rig is likely to see: look at "
+        "angle_unit (or at the rig), or give any_size=True.",
+    )
+
+
 def test_numbers_that_look_like_another_unit_are_refused_unless_they_are_vouched_for(tmp_path: Path) -> None:
     columns = table(names=("pos", "th1", "th2"))
     counts = columns | {"th1": np.rint(columns["th1"] / (2 * np.pi) * 4096)}
@@ -246,7 +262,7 @@ def test_numbers_that_look_like_another_unit_are_refused_unless_they_are_vouched
             "position_unit must be a finite number other than 0, in SI units per unit; got 0.0.",
         ),
         ({"tolerance": None}, "tolerance must be a share of the sample time, at least 0; got None."),
-        ({"zero": "left"}, 'zero must be "up" or "down", where the angles are counted from; got \'left\'.'),
+        ({"zero": "left"}, 'zero must be "up" or "down"; got \'left\'.'),
     ],
 )
 def test_settings_that_mean_nothing_are_refused(tmp_path: Path, settings: dict[str, Any], message: str) -> None:

@@ -338,7 +338,7 @@ def test_centres_inertias_frictions_and_gravity_may_be_zero_but_not_less(name: s
 
 @pytest.mark.parametrize("value", ["heavy", "1.0", None, True, 1j, [1.0, [2.0]], object])
 def test_a_mass_must_be_a_number(value: object) -> None:
-    message = f"mass1 must be a number in kg, or an array (N,) with one number per row; got {value!r}."
+    message = f"mass1 must be numbers: one in kg, or an array (N,) with one per row; got {value!r}."
     refused(TypeError, message, lambda: made(mass1=value))
 
 
@@ -357,7 +357,7 @@ def test_link_2_must_resist_being_turned_but_link_1_carries_link_2() -> None:
     [
         (
             TypeError,
-            "mass1 must be a number in kg, or an array (N,) with one number per row; got an array of shape (2, 2).",
+            "mass1 must be a number in kg, or an array (N,); got an array of shape (2, 2).",
             lambda: made(mass1=np.ones((2, 2))),
         ),
         (
@@ -396,11 +396,9 @@ def test_a_rig_that_cannot_be_is_refused(error: type[Exception], message: str, c
 
 @pytest.mark.parametrize("value", [2.5, 0, -1, "2", None, True])
 def test_the_sample_time_must_be_a_whole_multiple_of_the_substep(value: Any) -> None:
-    message = (
-        "The sample time must be a whole multiple of the substep: expected substeps to be an integer, at least 1; "
-        f"got {value!r} for a sample time of 0.02 s."
+    refused(
+        ValueError, f"substeps must be a whole number, at least 1; got {value!r}.", lambda: RIG.replace(substeps=value)
     )
-    refused(ValueError, message, lambda: RIG.replace(substeps=value))
 
 
 def test_friction_too_stiff_for_any_reasonable_number_of_substeps_is_refused() -> None:
@@ -417,7 +415,7 @@ def test_friction_too_stiff_for_any_reasonable_number_of_substeps_is_refused() -
 @pytest.mark.parametrize("value", [1.5, -1, 0.02, np.inf, np.nan, "1", True, [0, 1.5], [[1]]])
 def test_delays_must_be_whole_numbers_of_samples(name: str, value: object) -> None:
     message = (
-        f"{name} must be a whole number of samples, at least 0, or an array (N,) of such; got {value!r}. "
+        f"{name} must be a whole number of samples, 0 to 100000, or an array (N,) of such; got {value!r}. "
         "A delay of d seconds is round(d / sample_time) samples."
     )
     refused(ValueError, message, lambda: RIG.replace(**{name: value}))

@@ -127,5 +127,8 @@ def test_wrong_use_is_refused() -> None:
         ValueError, match=whole("SDRE takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).")
     ):
         SDRE(endless(mass1=np.array([0.5, 0.6])))
-    with pytest.raises(ValueError, match=whole("Q must be finite and symmetric.")):
+    with pytest.raises(
+        ValueError,
+        match=whole("Q must be finite: a diagonal (6,) or a matrix (6, 6); got array([nan, n...an, nan, nan])."),
+    ):
         SDRE("gustafsson2016", np.full(6, np.nan))

@@ -149,7 +149,7 @@ def test_pumping_then_catching_where_the_regulator_is_seen_to_hold_arrives_more_
 
 
 def test_wrong_use_is_refused() -> None:
-    with pytest.raises(ValueError, match=whole("level must be greater than 0; got 0.")):
+    with pytest.raises(ValueError, match=whole("level must be finite and greater than 0; got 0.")):
         Ellipsoid(LQR(RIG), 0)
     with pytest.raises(
         TypeError, match=whole("region must say which states (n, 6) belong to it, as a function; got 3.")
@@ -159,7 +159,7 @@ def test_wrong_use_is_refused() -> None:
         ValueError, match=whole("Counting treats one run at a time; a rollout of many states takes a batched law.")
     ):
         RolloutRegion(RIG, Counting())
-    with pytest.raises(ValueError, match=whole("duration and within must be greater than 0; got -1.0 s and 0.2 rad.")):
+    with pytest.raises(ValueError, match=whole("duration must be finite and greater than 0 s; got -1.0.")):
         RolloutRegion(RIG, LQR(RIG), duration=-1.0)
     two = endless(mass1=np.array([0.5, 0.6]))
     with pytest.raises(

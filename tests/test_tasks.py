@@ -196,8 +196,7 @@ def test_tasks_are_as_long_as_the_reports_unless_told_otherwise() -> None:
         (lambda: Balance(criterion="lax"), 'criterion must be "strict" or "report"; got \'lax\'.'),
         (
             lambda: SwingUp(start="top"),
-            "start must be one of 'hanging', 'side', 'up-up', 'up-down', 'down-up', 'down-down', 'anywhere'; "
-            "got 'top'.",
+            'start must be "hanging", "side", "up-up", "up-down", "down-up", "down-down" or "anywhere"; got \'top\'.',
         ),
         (lambda: SwingUp(angle_spread=-0.1), "angle_spread must be within 0 and pi rad; got -0.1."),
         (lambda: SwingUp(angle_spread=4.0), "angle_spread must be within 0 and pi rad; got 4.0."),

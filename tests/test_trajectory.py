@@ -73,7 +73,7 @@ class _Push:
     ("changes", "message"),
     [
         ({"u": np.ones((50, 1))}, "u must be finite forces of shape (N,), at least one; got shape (50, 1)."),
-        ({"u": np.full(50, np.nan)}, "u must be finite forces of shape (N,), at least one; got shape (50,)."),
+        ({"u": []}, "u must be finite forces of shape (N,), at least one; got shape (0,)."),
         (
             {"x": np.zeros((50, 6))},
             "A state has six numbers (pos, th1, th2, vel, om1, om2): expected an array of shape (51, 6) or (6,); "

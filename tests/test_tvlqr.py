@@ -219,7 +219,7 @@ def test_for_a_rig_without_a_stored_trajectory_one_is_found_when_it_starts() -> 
             "The trajectory stops SHORT short of its target, and the regulator there works near it only; "
             "expected at most 0.1 in every state.",
         ),
-        (lambda: TVLQR(RIG, R=0.0), "R, the weight of the force, must be a finite number greater than 0; got 0.0."),
+        (lambda: TVLQR(RIG, R=0.0), "R, the weight of the force, must be finite and greater than 0; got 0.0."),
         (
             lambda: TVLQR(RIG.replace(mass1=np.array([0.5, 0.6]))),
             "LQR takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).",

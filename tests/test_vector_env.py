@@ -458,8 +458,7 @@ INDICES = "Actions are indices of forces: expected an array of shape (2,) with w
         (
             lambda: balance_vector(2, autoreset_mode="Never"),
             ValueError,
-            "autoreset_mode must be a gymnasium.vector.AutoresetMode or one of 'NextStep', 'SameStep', 'Disabled'; got "
-            "'Never'.",
+            'autoreset_mode must be "NextStep", "SameStep" or "Disabled"; got \'Never\'.',
         ),
         (
             lambda: balance_vector(2, render_mode="human"),
