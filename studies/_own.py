@@ -162,9 +162,9 @@ def _files_read() -> Iterator[set[Path]]:
         yield read
     finally:
         _reading = None
-        code = {".py", ".pyc", ".so"}
+        code = {".py", ".pyc", ".so", ".nbi", ".nbc"}
         read -= {file for file in read if file.suffix in code or not file.is_file() or within_environment(file)}
-        read -= {file for file in read if file.is_relative_to("/proc") or "numba" in file.suffix}
+        read -= {file for file in read if file.is_relative_to("/proc")}
 
 
 class _Unknown(Exception):
