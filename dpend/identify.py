@@ -407,7 +407,8 @@ class _Problem:
         outputs = self._simulated((x0[None] + moves[:, None]).reshape(-1, 6), params, 13)
         weight = np.tile(weights, self.data.y.shape[1])
         residuals = weight * (outputs[0] - self.data.y.reshape(self.data.count, -1))
-        slopes = weight * (outputs[1:7] - outputs[7:]) / (2 * _STATE_STEP)
+        with np.errstate(invalid="ignore"):  # what ran away is refused by its residuals
+            slopes = weight * (outputs[1:7] - outputs[7:]) / (2 * _STATE_STEP)
         return residuals, slopes.transpose(1, 2, 0)
 
     def _by_params(self, z: Array, x0: Array, weights: Array) -> Array:

@@ -574,7 +574,7 @@ def test_refusals_say_what_was_expected_and_what_came() -> None:
     ("x0", "u", "t", "message"),
     [
         (UP, [np.nan], [0, 1], "u must be finite: one force, or three, for each interval; got [nan]."),
-        ([0, np.inf, 0, 0, 0, 0], [0], [0, 1], "x0 must be finite: a state (6,); got [0, inf, 0, 0, 0, 0]."),
+        ([0, np.inf, 0, 0, 0, 0], [0], [0, 1], "States must be finite; got inf for th1 in row 0."),
         (UP[:4], [0.0], [0, 1], "x0 must be one state of shape (6,); got shape (4,)."),
         (UP, [0.0], [1, 0], "t must be increasing times of shape (T + 1,), s; got [1, 0]."),
     ],
