@@ -90,7 +90,7 @@ class LeastForce:
             raise ValueError(
                 f"horizon must be a number of seconds, at least two samples of {rig.sample_time:g} s; got {horizon!r}."
             )
-        limits = checked_array("angle_limits", angle_limits, "two angles, rad")
+        limits = checked_array("angle_limits", angle_limits, "two angles, rad", finite=False)
         if limits.shape != (2,) or not (limits > 0).all():
             raise ValueError(f"angle_limits must be two angles, greater than 0 rad; got {angle_limits!r}.")
         if not (is_finite(track_margin) and 0 <= track_margin < rig.track_limit):
