@@ -294,6 +294,11 @@ class Options(_runner.Options):
         for name in self.only:
             find(name, known=(*self.known, *map(own, self.controller)))
 
+    @property
+    def joining(self) -> bool:
+        """Whether controllers of the user's own join the contenders."""
+        return bool(self.controller)
+
     def contenders(self, task: TaskName) -> list[Contender]:
         """Return those that do a task and were not left out, the user's own last.
 

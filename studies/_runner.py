@@ -69,11 +69,16 @@ class Options:
     format: Literal["png", "pdf", "svg"] = "png"
     """File format of the figures."""
     fresh: bool = False
-    """Compute every job, also those whose results come with the project, in docs/results."""
+    """Compute every job here, also those of the contenders that your own joins, whose results are in docs/results."""
 
     def __post_init__(self) -> None:
         self.check_least(1, "workers")
         self.check_least(0, "seed")
+
+    @property
+    def joining(self) -> bool:
+        """Whether something of the user's own joins what comes with the project, so that results of that are reused."""
+        return False
 
     def check_least(self, least: int, *names: str) -> None:
         """Refuse numbers that are too small.
@@ -256,7 +261,7 @@ def run_study(name: str, options: Options, executor: Executor | None = None) -> 
         raise ValueError(f"{name}: two of its jobs are the same.")
     files = {job: out / "jobs" / f"{digits}.npz" for job, digits in keys.items()}
     done = {job: work for job, file in files.items() if (work := _finished(file))}
-    kept = {} if options.fresh else _kept(short)
+    kept = _kept(short) if options.joining and not options.fresh else {}
     shipped = {job: kept[digits] for job, digits in keys.items() if job not in done and digits in kept}
     if shipped:
         print(f"{len(shipped)} of {len(keys)} jobs come from {kept_folder(short)}; --fresh computes them here.")

@@ -18,6 +18,12 @@ class Options(_runner.Options):
     jobs: int = 12
     nap: float = 0.0
     """Seconds that a job takes."""
+    join: bool = False
+    """Whether finished jobs of a kept table are reused."""
+
+    @property
+    def joining(self) -> bool:
+        return self.join
 
 
 @dataclass(frozen=True)

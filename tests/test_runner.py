@@ -222,11 +222,13 @@ def kept(tmp_path, monkeypatch):
 def test_jobs_of_the_kept_table_are_not_done_again(kept, tmp_path, capsys, monkeypatch):
     run, done = study_example.run, []
     monkeypatch.setattr(study_example, "run", lambda job: done.append(job.repetition) or run(job))
-    table = run_example(tmp_path / "out", "--jobs", "4")
+    table = run_example(tmp_path / "out", "--jobs", "4", "--join")
     assert done == [3]
     assert f"3 of 4 jobs come from {kept}; --fresh computes them here." in " ".join(capsys.readouterr().out.split())
-    fresh = run_example(tmp_path / "fresh", "--jobs", "4", "--fresh")
+    fresh = run_example(tmp_path / "fresh", "--jobs", "4", "--join", "--fresh")
     assert done == [3, 0, 1, 2, 3]
+    run_example(tmp_path / "alone", "--jobs", "1")
+    assert done == [3, 0, 1, 2, 3, 0], "without anything that joins, the study is done, not copied"
     assert table.rows.equals(fresh.rows)
     assert table.arrays("value") == fresh.arrays("value")
 
@@ -235,14 +237,14 @@ def test_jobs_of_the_kept_table_are_not_done_again(kept, tmp_path, capsys, monke
 def test_a_kept_table_from_other_code_or_versions_serves_nothing(changed, kept, tmp_path, monkeypatch):
     other = {"versions": lambda: {"numpy": "99"}, "source_hash": lambda name: "another"}
     monkeypatch.setattr(_runner, changed, other[changed])
-    run_example(tmp_path / "out", "--jobs", "3")
+    run_example(tmp_path / "out", "--jobs", "3", "--join")
     assert json.loads((tmp_path / "out" / "meta.json").read_text())["jobs_done_earlier"] == 0
 
 
 def test_a_kept_table_from_before_keys_were_kept_serves_nothing(kept, tmp_path):
     meta = json.loads((kept / "meta.json").read_text())
     (kept / "meta.json").write_text(json.dumps({name: meta[name] for name in meta if name != "keys"}))
-    run_example(tmp_path / "out", "--jobs", "3")
+    run_example(tmp_path / "out", "--jobs", "3", "--join")
     assert json.loads((tmp_path / "out" / "meta.json").read_text())["jobs_done_earlier"] == 0
 
 
