@@ -54,22 +54,7 @@ def palette(names: Iterable[str]) -> dict[str, Style]:
 def facets(
     rows: int, columns: int = 1, *, height: float, width: float = WIDTH, **how: Any
 ) -> tuple[Figure, npt.NDArray[Any]]:
-    """Return a figure and its axes ``(rows, columns)``.
-
-    Parameters
-    ----------
-    rows, columns : int
-        Panels below and beside each other.
-    height, width : float
-        Of the whole figure, inches.
-    **how
-        As of ``Figure.subplots``, such as ``sharex``, ``width_ratios``.
-
-    Returns
-    -------
-    figure : Figure
-    axes : ndarray (rows, columns) of Axes
-    """
+    """Return a figure, inches wide and high, and its axes ``(rows, columns)``; ``how`` as of ``Figure.subplots``."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **how)
 
@@ -102,43 +87,29 @@ def log_axis(axis: Axes, along: Literal["x", "y"] = "x", ticks: Sequence[float] 
 
 def legend_above(of: Axes | Figure, columns: int, title: str | None = None, **how: Any) -> None:
     """Put the legend above axes, or above the whole figure one entry for each label, where it hides no curve."""
-    if isinstance(of, Axes):
-        if of.get_legend_handles_labels()[0]:
-            of.legend(title=title, ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0), **how)
-        elif title:
-            of.set_title(title, loc="center")
-        return
-    entries = {
-        label: handle
-        for axis in of.axes
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
-    }  # fmt: skip
+    axes = [of] if isinstance(of, Axes) else of.axes
+    entries = {label: line for axis in axes for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     if entries:
-        legend = (entries.values(), entries.keys())
-        of.legend(*legend, title=title, ncols=columns, loc="outside upper center", **how)
+        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)} if isinstance(of, Axes) else {}
+        how = {"title": title, "ncols": columns, "loc": "outside upper center"} | place | how
+        of.legend(list(entries.values()), list(entries), **how)
+    elif isinstance(of, Axes) and title:
+        of.set_title(title, loc="center")
 
 
-def note(axis: Axes, words: str, where: Literal["upper left", "lower left"] = "upper left") -> None:
-    """Write words in a corner, over what is drawn there."""
-    y, va = (0.965, "top") if where.startswith("upper") else (0.02, "bottom")
+def note(axis: Axes, words: str) -> None:
+    """Write words in the upper left corner, over what is drawn there."""
     box = {"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1.0}
-    axis.text(0.008, y, words, transform=axis.transAxes, fontsize=7, va=va, style="italic", bbox=box)
+    axis.text(0.008, 0.965, words, transform=axis.transAxes, fontsize=7, va="top", style="italic", bbox=box)
 
 
 # -------------------------------------------------------------------------------------------------- values, intervals
 
 
 def intervals(
-    axis: Axes,
-    places: npt.ArrayLike,
-    estimates: Iterable[Estimate],
-    style: Style,
-    *,
-    along: Literal["x", "y"] = "y",
-    hollow: bool = False,
-    joined: bool = True,
-    **how: Any,
-) -> None:
+    axis: Axes, places: npt.ArrayLike, estimates: Iterable[Estimate], style: Style, *,
+    along: Literal["x", "y"] = "y", hollow: bool = False, joined: bool = True, **how: Any,
+) -> None:  # fmt: skip
     """Draw estimates with their intervals, where they have one.
 
     Parameters
@@ -153,10 +124,8 @@ def intervals(
         Colour, marker, line.
     along : {"y", "x"}
         The axis on which the estimates are measured.
-    hollow : bool
-        Whether markers are open.
-    joined : bool
-        Whether a line joins them.
+    hollow, joined : bool
+        Whether markers are open, and whether a line joins them.
     **how
         As of ``Axes.errorbar``, such as ``label``.
     """
@@ -173,24 +142,23 @@ def intervals(
 def curves(
     axis: Axes, of: Mapping[str, Curve], styles: Mapping[str, Style] | Sequence[Style], *, aside: float = 0.005
 ) -> None:
-    """Draw curves with their intervals, by label, moved aside a little so that no interval hides another.
+    """Draw curves with their intervals, by label; styles are by label too, or in the order of the curves.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture.
-    of : mapping of str to Curve
-        By label.
-    styles : mapping or sequence of Style
-        By label, or in the order of the curves.
-    aside : float
-        By how much of the levels' range each is moved from the one before.
+    Each is moved aside from the one before, by a share of the levels' range, so that no interval hides another.
     """
     looks = [styles[label] for label in of] if isinstance(styles, Mapping) else styles
     for place, ((label, curve), style) in enumerate(zip(of.items(), looks, strict=True)):
         levels = np.array(list(curve))
         moved = aside * np.ptp(levels) * (place - (len(of) - 1) / 2) if len(levels) else 0.0
         intervals(axis, levels + moved, curve.values(), style, label=label)
+
+
+def saved_by_angle(axis: Axes, of: Mapping[str, Curve], styles: Mapping[str, Style] | Sequence[Style],
+                   label: str = "starts saved", **how: Any) -> None:  # fmt: skip
+    """Draw shares of starts saved against the greatest starting angle, as :func:`curves` does."""
+    curves(axis, of, styles, **how)
+    share_axis(axis, label)
+    axis.set_xlabel("greatest starting angle λ (rad)")
 
 
 def best_known(axis: Axes, curve: Curve, label: str) -> None:
@@ -210,21 +178,15 @@ def band(axis: Axes, x: npt.ArrayLike, quantiles: npt.ArrayLike, style: Style, l
 
 
 def forest(
-    axis: Axes,
-    estimates: Mapping[str, Estimate],
-    styles: Mapping[str, Style] | Style,
-    *,
-    hollow: bool = False,
-    aside: float = 0.0,
-    tried: Tried | None = None,
-    label: str | None = None,
-) -> None:
-    """Draw estimates with their intervals, one a line, the first on top; what lies beyond the levels tried is an arrow.
+    axis: Axes, estimates: Mapping[str, Estimate], styles: Mapping[str, Style] | Style, *,
+    hollow: bool = False, aside: float = 0.0, tried: Tried | None = None, label: str | None = None,
+) -> None:  # fmt: skip
+    """Draw estimates with their intervals, one a line, the first on top; a second call with the same names adds to it.
 
     Parameters
     ----------
     axis : Axes
-        The picture; a second call with the same names adds to it.
+        The picture.
     estimates : mapping of str to Estimate
         By what stands beside the line; NaN leaves its line empty.
     styles : mapping of Style, or Style
@@ -234,7 +196,7 @@ def forest(
     aside : float
         By how much of a line they are moved down.
     tried : (float, float), optional
-        The least and the greatest level tried; the axis ends a little beyond.
+        The least and the greatest level tried: the axis ends a little beyond, and what lies there is an arrow.
     label : str, optional
         What stands in the legend.
     """
@@ -263,18 +225,7 @@ def strip(
 ) -> None:
     """Draw groups side by side, such as learners, each of their values, such as a training's, a point of its own.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture; a second call with the same groups adds to it.
-    groups : mapping of str to sequence of Estimate
-        By what stands below them; an estimate without interval is a point alone.
-    style : Style
-        Colour and marker.
-    aside : float
-        By how much of a group they are moved to the right.
-    hollow : bool
-        Whether markers are open.
+    A second call with the same groups, moved ``aside`` by a share of a group to the right, adds to the picture.
     """
     for place, own in enumerate(groups.values()):
         x = place + aside + 0.05 * (np.arange(len(own)) - (len(own) - 1) / 2)
@@ -284,16 +235,9 @@ def strip(
 
 
 def scatter(axis: Axes, points: Mapping[str, tuple[Estimate, Estimate]], styles: Mapping[str, Style]) -> None:
-    """Draw points with intervals along both axes, each with its name beside it, no name over another or a point.
+    """Draw points with intervals along x and y, each with its name beside it, no name over another or a point.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture, with its scales and limits set, of a figure on which nothing else that takes room will be put.
-    points : mapping of str to (Estimate, Estimate)
-        Along x and y, by name.
-    styles : mapping of Style
-        By name.
+    The axes' scales and limits must be set, and nothing else that takes room be put on the figure afterwards.
     """
     boxes = []
     for name, (x, y) in points.items():
@@ -310,33 +254,13 @@ def scatter(axis: Axes, points: Mapping[str, tuple[Estimate, Estimate]], styles:
 
 
 def heat_map(
-    axis: Axes,
-    values: Array,
-    rows: Sequence[str],
-    columns: Sequence[str],
-    *,
-    words: npt.ArrayLike | None = None,
-    limits: tuple[float, float] = (0.0, 1.0),
-) -> Any:
-    """Draw numbers on colours, such as shares by contender and condition.
+    axis: Axes, values: Array, rows: Sequence[str], columns: Sequence[str], *,
+    words: npt.ArrayLike | None = None, limits: tuple[float, float] = (0.0, 1.0),
+) -> Any:  # fmt: skip
+    """Draw numbers ``(n, m)`` on colours, such as shares by contender and condition, and return the image.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture.
-    values : ndarray (n, m)
-        NaN where there is none.
-    rows, columns : sequence of str
-        What they are of; long names of columns stand aslant.
-    words : array_like (n, m) of str, optional
-        What stands in the cells; left out, the values in percent.
-    limits : (float, float)
-        The values at the ends of the colours.
-
-    Returns
-    -------
-    AxesImage
-        For ``figure.colorbar``.
+    Cells show ``words`` ``(n, m)``, left out the values in percent, and nothing of NaN; long names of columns stand
+    aslant; ``limits`` are the values at the ends of the colours.
     """
     image = axis.imshow(values, vmin=limits[0], vmax=limits[1], cmap="cividis", aspect="auto")
     for (i, j), value in np.ndenumerate(values):
@@ -357,22 +281,7 @@ def force_trace(
 ) -> None:
     """Draw a force over time as the steps it is held for, and where it ended if that is before the picture does.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture.
-    force : array_like (T,)
-        N; NaN, or nothing, after the end of the run.
-    sample_time : float
-        s.
-    seconds : float
-        How much of it is shown.
-    colour : str
-        Its colour.
-    title : str
-        What stands above it.
-    limit : float
-        The greatest force, N.
+    The force ``(T,)`` is NaN, or nothing, after the end of the run; ``limit`` is the greatest, N.
     """
     u = np.asarray(force, dtype=np.float64)
     u = u[np.isfinite(u)]
@@ -383,3 +292,16 @@ def force_trace(
         axis.text(time[-1] + 0.02 * seconds, 0, "ended", va="center", fontsize=7.5)
     axis.set(xlim=(0, seconds), ylim=(-1.15 * limit, 1.15 * limit), yticks=(-limit, 0, limit))
     axis.set_title(title, fontsize=7.5, loc="left", pad=2)
+
+
+def force_traces(
+    axes: Mapping[str, Axes], traces: Mapping[str, tuple[Array, Style]], sample_time: float, seconds: float
+) -> None:
+    """Draw forces one below the other by title, with labels at the lowest and at the middle one alone."""
+    titles = list(traces)
+    for title, (force, (colour, _, _)) in traces.items():
+        force_trace(axes[title], force, sample_time, seconds, colour, title)
+        axes[title].tick_params(labelbottom=title == titles[-1])
+    if titles:
+        axes[titles[-1]].set_xlabel("time (s)")
+        axes[titles[len(titles) // 2]].set_ylabel("force on the cart (N)")
