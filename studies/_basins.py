@@ -51,20 +51,9 @@ def part_saved(saved: npt.NDArray[Any]) -> float:
 
 
 def plot_basins(basins: Mapping[str, Array], columns: int = 4, known: bool = True) -> Figure:
-    """Return maps of basins side by side, each over what can be saved at all where that is known.
+    """Return maps of basins side by side, each over what can be saved at all where that is known (``gustafsson2016``).
 
-    Parameters
-    ----------
-    basins : mapping of str to ndarray (side, side)
-        By name: the share of trainings whose controller saves a start, by θ2 and θ1.
-    columns : int
-        Maps in a row.
-    known : bool
-        Whether they are of ``gustafsson2016``, for which it is known.
-
-    Returns
-    -------
-    Figure
+    ``basins`` are, by name, maps ``(side, side)`` by θ2 and θ1: the share of trainings whose controller saves a start.
     """
     rows = -(-len(basins) // columns)
     figure, axes = facets(rows, columns, height=1.65 * rows + 0.75, sharex=True, sharey=True)

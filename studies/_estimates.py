@@ -1,6 +1,6 @@
 """Estimates with 95 % intervals, how they are written, and what yields one: shares, means, medians, crossings, ranks.
 
-Source of the coverage of each: the tests, on data of known probability.
+The tests show what each covers, on data of known probability.
 """
 
 from __future__ import annotations
@@ -24,35 +24,18 @@ Tried = tuple[float, float]
 
 
 class Estimate(NamedTuple):
-    """A value with its 95 % interval, in the value's unit.
-
-    Attributes
-    ----------
-    value : float
-        NaN where there is nothing to take it of; of a crossing minus or plus infinite where it lies beyond the levels
-        tried.
-    low, high : float
-        The interval's ends, which may be infinite likewise; NaN where there is none.
-    """
+    """A value with its 95 % interval, in the value's unit."""
 
     value: float = math.nan
+    """NaN where there is nothing to take it of; a crossing beyond the levels tried is minus or plus infinite."""
     low: float = math.nan
     high: float = math.nan
+    """The interval's ends, which may be infinite likewise; NaN where there is none."""
 
     def written(self, form: str = "", tried: Tried | None = None) -> tuple[str, str]:
-        """Return the value in words, and its interval, which is empty where it would say no more than the value.
+        """Return value and interval in words, such as ``("84.5", "[82.1, 86.6]")``, as :func:`number` writes them.
 
-        Parameters
-        ----------
-        form : str
-            As of :func:`number`.
-        tried : (float, float), optional
-            As of :func:`number`.
-
-        Returns
-        -------
-        value, interval : str
-            Such as ``"84.5"`` and ``"[82.1, 86.6]"``.
+        The interval is empty where it would say no more than the value.
         """
         value, low, high = (number(each, form, tried) for each in self)
         said = math.isnan(self.low) or value == low == high
@@ -69,17 +52,12 @@ def number(value: float, form: str = "", tried: Tried | None = None) -> str:
     Parameters
     ----------
     value : float
-        The number.
+        NaN is a dash.
     form : str
         As of ``format``, but of percentages the sign is left out, since the heading says it.  Left out, three digits
         that count, and thousands apart.
     tried : (float, float), optional
-        The least and the greatest level tried, for values that are infinite.
-
-    Returns
-    -------
-    str
-        ``"–"`` where it is NaN, ``"> 0.6"`` or ``"< 0.05"`` where it lies beyond the levels tried.
+        The least and the greatest level tried: an infinite value is ``"< 0.05"`` or ``"> 0.6"``.
     """
     if math.isnan(value):
         return "–"
@@ -97,17 +75,7 @@ def number(value: float, form: str = "", tried: Tried | None = None) -> str:
 
 
 def share(successes: npt.ArrayLike, n: npt.ArrayLike) -> Estimate:
-    r"""Return :math:`s/n` with Wilson's score interval; NaN of no trials.
-
-    Parameters
-    ----------
-    successes, n : array_like
-        Successes, and trials: whole numbers, or several, which are summed.
-
-    Returns
-    -------
-    Estimate
-    """
+    r"""Return :math:`s/n` with Wilson's score interval, of whole numbers or columns, which are summed; NaN of none."""
     done, tried = int(np.sum(successes)), int(np.sum(n))
     if tried == 0:
         return Estimate()
@@ -125,12 +93,11 @@ def mean_share(shares: npt.ArrayLike, runs: npt.ArrayLike) -> Estimate:
     runs : array_like
         Runs of all units together, or of each, which are summed.
 
-    Returns
-    -------
-    Estimate
-        :math:`\bar s \pm t_{0.975,\,k-1}\, \sigma / \sqrt{k}`, Student's interval over the units, cut off at 0 and 1,
-        or Wilson's of all runs taken together where that is wider, as when all units have the same share.  The
-        bootstrap is too narrow for ten trainings.
+    Notes
+    -----
+    :math:`\bar s \pm t_{0.975,\,k-1}\, \sigma / \sqrt{k}`, Student's interval over the units, cut off at 0 and 1, or
+    Wilson's of all runs taken together where that is wider, as when all units have the same share.  The bootstrap is
+    too narrow for ten trainings.
     """
     each, total = np.asarray(shares, dtype=np.float64), int(np.sum(runs))
     mean = float(each.mean())
@@ -140,19 +107,11 @@ def mean_share(shares: npt.ArrayLike, runs: npt.ArrayLike) -> Estimate:
 
 
 def median(values: npt.ArrayLike) -> Estimate:
-    """Return the median with the interval between two of the values that holds the true one, however they are spread.
+    """Return the median of values ``(n,)``, NaN of none, with an interval that holds the true one, whatever their law.
 
-    Parameters
-    ----------
-    values : array_like (n,)
-        One number a run or training; none for an estimate that is NaN.
-
-    Returns
-    -------
-    Estimate
-        How many values lie below the true median is binomial, so order statistics enclose it with at least 95 %; the
-        bootstrap of a median comes to the same and needs resamples for it.  Of fewer than six values, which cannot
-        enclose it so surely, the interval is from the least to the greatest: :math:`1 - 2^{1 - n}`.
+    How many values lie below the true median is binomial, so order statistics enclose it with at least 95 %; the
+    bootstrap of a median comes to the same and needs resamples for it.  Of fewer than six values, which cannot enclose
+    it so surely, the interval is from the least to the greatest: :math:`1 - 2^{1 - n}`.
     """
     each = np.asarray(values, dtype=np.float64)
     if len(each) == 0:
@@ -172,15 +131,8 @@ def worst_cases(
         One number a case, such as the share of starts that a controller saves on one plant out of many.
     tail : float
         :math:`\alpha`, above 0, at most 1; where :math:`\alpha n` is no whole number, the last case counts in part.
-    resamples : int
-        Bootstrap samples.
-    seed : int or sequence of int
-        What they are drawn from.
-
-    Returns
-    -------
-    Estimate
-        The interval is the bootstrap's over cases, too narrow where fewer than some 25 are in the tail.
+    resamples, seed : int
+        Of the bootstrap over cases, whose interval is too narrow where fewer than some 25 are in the tail.
 
     Raises
     ------
@@ -226,20 +178,13 @@ def crossing(
     Parameters
     ----------
     levels : array_like (L,)
-        Increasing.
+        Increasing; the value is minus or plus infinite where it lies outside them.
     outcomes : array_like (n, L)
         A row for each unit of replication: a start's successes, or the shares of a trained controller.
     share : float
         Between 0 and 1.
-    resamples : int
-        Bootstrap samples.
-    seed : int
-        What they are drawn from.
-
-    Returns
-    -------
-    Estimate
-        Minus or plus infinite where it lies outside the levels.
+    resamples, seed : int
+        Of the bootstrap.
 
     Raises
     ------
@@ -288,22 +233,10 @@ def _crossed(levels: Array, curves: Array, share: float, n: int) -> Array:
 
 
 def falling_fit(curves: Array) -> Array:
-    r"""Return the curves that never rise and are nearest in least squares, a row each.
+    r"""Return the curves that never rise and are nearest in least squares, a row each of ``(m, L)``.
 
-    It is :math:`\hat y_i = \min_{a \le i} \max_{b \ge i} \bar y_{a..b}`.
-
-    Parameters
-    ----------
-    curves : ndarray (m, L)
-        Curves.
-
-    Returns
-    -------
-    ndarray (m, L)
-
-    Notes
-    -----
-    Source: T. Robertson, F. T. Wright and R. L. Dykstra, *Order Restricted Statistical Inference*, 1988, section 1.4.
+    It is :math:`\hat y_i = \min_{a \le i} \max_{b \ge i} \bar y_{a..b}`: T. Robertson, F. T. Wright and R. L. Dykstra,
+    *Order Restricted Statistical Inference*, 1988, section 1.4.
     """
     # scipy.optimize.isotonic_regression finds the same, but one curve a call: for the thousand short ones of a
     # bootstrap, and the hundreds of crossings in a table, this is 24 times as fast.
@@ -324,24 +257,16 @@ Quotient = tuple[npt.ArrayLike, npt.ArrayLike]
 
 
 class Ranking(NamedTuple):
-    """Ranks of ``k`` contenders.
-
-    Attributes
-    ----------
-    order : ndarray (k,)
-        The best first; equals in the order in which they came.
-    ranks : tuple of k Estimate
-        One more than the number of those that do better; equals share it.
-    first : ndarray (k,)
-        Share of the resamples in which none does better.
-    better : ndarray (k, k)
-        Share of the resamples in which the row's does better than the column's.
-    """
+    """Ranks of ``k`` contenders."""
 
     order: npt.NDArray[np.int64]
+    """The best first; equals in the order in which they came."""
     ranks: tuple[Estimate, ...]
+    """One more than the number of those that do better; equals share it."""
     first: Array
+    """Share of the resamples in which none does better, ``(k,)``."""
     better: Array
+    """Share of the resamples in which the row's does better than the column's, ``(k, k)``."""
 
 
 def ranking(criteria: Sequence[Sequence[Quotient]], *, resamples: int = 2000, seed: int = 0) -> Ranking:
@@ -355,14 +280,8 @@ def ranking(criteria: Sequence[Sequence[Quotient]], *, resamples: int = 2000, se
     ----------
     criteria : sequence of sequence of Quotient
         Of each that is ranked, its criteria, the most important first; arrays ``(n,)``, ``n`` may differ.
-    resamples : int
-        Bootstrap samples.
-    seed : int
-        What they are drawn from.
-
-    Returns
-    -------
-    Ranking
+    resamples, seed : int
+        Of the bootstrap.
 
     Raises
     ------

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from numbers import Integral
+from string import Template
 from typing import Any
 
 import pandas as pd
@@ -26,49 +27,31 @@ _AIR = 2  # letters between columns there
 
 @dataclass(frozen=True)
 class Column:
-    """One column.
-
-    Attributes
-    ----------
-    heading : str
-        What stands above it, with its unit.
-    meaning : str
-        What it is, in a sentence.
-    group : str
-        What columns side by side belong to.
-    words : bool
-        Whether it holds words, not numbers.
-    brief : bool
-        Whether it is among those shown in a terminal, where there is no room for all.
-    """
+    """One column."""
 
     heading: str
+    """What stands above it, with its unit."""
     meaning: str = ""
+    """What it is, in a sentence."""
     group: str = ""
+    """What columns side by side belong to."""
     words: bool = False
+    """Whether it holds words, not numbers."""
     brief: bool = True
+    """Whether it is among those shown in a terminal, where there is no room for all."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell.
-
-    Attributes
-    ----------
-    text : str
-        What stands in it.
-    under : str
-        What stands smaller beside it, such as an interval.
-    key : float, optional
-        What it is sorted by, infinite where it lies beyond all; left out, its words.
-    share : float, optional
-        What a bar in it shows, 0 to 1.
-    """
+    """One cell."""
 
     text: str = "–"
     under: str = ""
+    """What stands smaller beside it, such as an interval."""
     key: float | None = None
+    """What it is sorted by, infinite where it lies beyond all; left out, its words."""
     share: float | None = None
+    """What a bar in it shows, 0 to 1."""
 
 
 Value = Cell | Estimate | float | int | str | None
@@ -77,24 +60,13 @@ Value = Cell | Estimate | float | int | str | None
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table; printed on a rich console, it is that of :func:`terminal`.
-
-    Attributes
-    ----------
-    title : str
-        What stands above it.
-    columns : sequence of Column
-        Its columns; the first names the line.
-    lines : sequence of sequence of Cell
-        Its lines, a cell for each column.
-    note : str
-        What stands below it.
-    """
+    """A table: its lines have a cell for each column; printed on a rich console, it is that of :func:`terminal`."""
 
     title: str
     columns: Sequence[Column]
     lines: Sequence[Sequence[Cell]]
     note: str = ""
+    """What stands below it."""
 
     def __post_init__(self) -> None:
         for line in self.lines:
@@ -108,20 +80,8 @@ class Sheet:
 def cell(value: Value, form: str = "", *, tried: Tried | None = None, bar: bool = False) -> Cell:
     """Return the cell of a value, with its interval below it where it has one, sorted by the value.
 
-    Parameters
-    ----------
-    value : Cell, Estimate, number, str or None
-        The value.
-    form : str
-        As of :func:`studies._estimates.number`; whole numbers are counts, which are written whole.
-    tried : (float, float), optional
-        As of :func:`studies._estimates.number`.
-    bar : bool
-        Whether a bar shows it, which must be a share.
-
-    Returns
-    -------
-    Cell
+    ``form`` and ``tried`` are as of :func:`studies._estimates.number`; a whole number is a count, which is written
+    whole.  With ``bar``, a bar shows the value, which must be a share.
     """
     if isinstance(value, Cell):
         return value
@@ -146,26 +106,22 @@ def sheet(
 ) -> Sheet:
     """Return the table of lines that are mappings from headings to values, or of a frame.
 
+    Headings come in the order in which they are met first; where a line lacks one, there is a dash.  A column is of
+    words where all its values are.
+
     Parameters
     ----------
-    title : str
-        What stands above it.
+    title, note : str
+        What stands above and below it.
     lines : DataFrame or iterable of mapping
-        Values by heading.  Headings come in the order in which they are met first; where a line lacks one, there is a
-        dash.  A column is of words where all its values are.
+        Values by heading.
     form : str or mapping
         How numbers are written, see :func:`studies._estimates.number`: one form for all headings, or by heading.  Where
         none is given, shares below headings that end in "%" are percentages with one decimal.
-    note : str
-        What stands below it.
     tried : (float, float), optional
         The least and the greatest level tried, of crossings.
     brief : collection of str, optional
         Headings of the columns that a terminal shows where there is no room for all; left out, the first of them.
-
-    Returns
-    -------
-    Sheet
     """
     records: Sequence[Mapping[Any, Value]] = (
         lines.to_dict("records") if isinstance(lines, pd.DataFrame) else list(lines)
@@ -189,17 +145,7 @@ def sheet(
 
 
 def markdown(table: Sheet) -> str:
-    """Return a table in Markdown, below its title and above its note.
-
-    Parameters
-    ----------
-    table : Sheet
-        The table.
-
-    Returns
-    -------
-    str
-    """
+    """Return a table in Markdown, below its title and above its note."""
 
     def row(cells: Iterable[str]) -> str:
         return "| " + " | ".join(cells) + " |"
@@ -214,21 +160,7 @@ def markdown(table: Sheet) -> str:
 
 
 def document(title: str, tables: Iterable[Sheet], before: str = "") -> str:
-    """Return a page of Markdown: tables one below the other, then what their columns mean.
-
-    Parameters
-    ----------
-    title : str
-        Title of the page.
-    tables : iterable of Sheet
-        The tables.
-    before : str
-        Markdown above them.
-
-    Returns
-    -------
-    str
-    """
+    """Return a page of Markdown: words in Markdown, tables one below the other, then what their columns mean."""
     shown = list(tables)
     columns = dict.fromkeys(column for table in shown for column in table.columns if column.meaning)
     meanings = "\n".join(f"- **{_plain(_named(column))}**: {_plain(column.meaning)}" for column in columns)
@@ -251,19 +183,9 @@ def _named(column: Column) -> str:
 
 
 def terminal(table: Sheet, width: int = 80) -> Group:
-    """Return a table for a terminal: as many of its columns as fit with every number whole, six at most.
+    """Return a table for a terminal of a width in letters: the columns that fit with every number whole, six at most.
 
-    Parameters
-    ----------
-    table : Sheet
-        The table.
-    width : int
-        Letters in a line.
-
-    Returns
-    -------
-    rich.console.Group
-        What is left out is said below it.
+    What is left out is said below it.
     """
     every = range(len(table.columns))
     if len(every) > _FEW or sum(_letters(table, i) + _AIR for i in every) > width + _AIR:
@@ -307,20 +229,7 @@ def page(title: str, before: Sequence[str], table: Sheet) -> str:
     """Return a page that stands alone: a table, sorted by a press on a heading, and what its columns mean.
 
     Nothing is fetched from anywhere; without JavaScript the table is there all the same, in the order given.
-
-    Parameters
-    ----------
-    title : str
-        Title of the page.
-    before : sequence of str
-        Paragraphs above the table.
-    table : Sheet
-        The table.
-
-    Returns
-    -------
-    str
-        HTML.
+    ``before`` are paragraphs above it.
     """
     e, columns = html.escape, table.columns
     edges = {i for i, column in enumerate(columns) if i and column.group != columns[i - 1].group}
@@ -340,39 +249,12 @@ def page(title: str, before: Sequence[str], table: Sheet) -> str:
     )
     meanings = "\n".join(f"<dt>{e(_named(column))}</dt><dd>{e(column.meaning)}</dd>" for column in columns)
     web = files("studies") / "web"
-    style, script = ((web / name).read_text(encoding="utf-8") for name in ("table.css", "table.js"))
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{e(title)}</title>
-<style>
-{style}</style>
-</head>
-<body>
-<h1>{e(title)}</h1>
-{"".join(f"<p>{e(paragraph)}</p>" for paragraph in (*before, *filter(None, [table.note])))}
-<div class="wide" tabindex="0" role="region" aria-label="{e(table.title)}">
-<table>
-<thead>
-<tr>{groups}</tr>
-<tr>{headings}</tr>
-</thead>
-<tbody>
-{body}
-</tbody>
-</table>
-</div>
-<h2>What the columns mean</h2>
-<dl>
-{meanings}
-</dl>
-<script>
-{script}</script>
-</body>
-</html>
-"""
+    template, style, script = ((web / f"table.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js"))
+    paragraphs = "".join(f"<p>{e(paragraph)}</p>" for paragraph in (*before, *filter(None, [table.note])))
+    return Template(template).substitute(
+        title=e(title), label=e(table.title), style=style, script=script, paragraphs=paragraphs,
+        groups=groups, headings=headings, body=body, meanings=meanings,
+    )  # fmt: skip
 
 
 def _kind(column: Column, edge: bool) -> str:
