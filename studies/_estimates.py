@@ -47,17 +47,11 @@ class Estimate(NamedTuple):
 
 
 def number(value: float, form: str = "", tried: Tried | None = None) -> str:
-    """Return a number in words: the one way in which figures stand in tables and legends.
+    """Return a number in words, the one way in which figures stand in tables and legends; NaN is a dash.
 
-    Parameters
-    ----------
-    value : float
-        NaN is a dash.
-    form : str
-        As of ``format``, but of percentages the sign is left out, since the heading says it.  Left out, three digits
-        that count, and thousands apart.
-    tried : (float, float), optional
-        The least and the greatest level tried: an infinite value is ``"< 0.05"`` or ``"> 0.6"``.
+    The form is that of ``format``, but of percentages the sign is left out, since the heading says it; without one,
+    three digits that count, and thousands apart.  An infinite value is ``"< 0.05"`` or ``"> 0.6"``, the least or the
+    greatest level tried.
     """
     if math.isnan(value):
         return "–"
@@ -86,18 +80,9 @@ def share(successes: npt.ArrayLike, n: npt.ArrayLike) -> Estimate:
 def mean_share(shares: npt.ArrayLike, runs: npt.ArrayLike) -> Estimate:
     r"""Return the mean of shares of success, each that of a unit of replication: a training, a start or a plant.
 
-    Parameters
-    ----------
-    shares : array_like (k,)
-        A share for each unit, within 0 and 1.
-    runs : array_like
-        Runs of all units together, or of each, which are summed.
-
-    Notes
-    -----
-    :math:`\bar s \pm t_{0.975,\,k-1}\, \sigma / \sqrt{k}`, Student's interval over the units, cut off at 0 and 1, or
-    Wilson's of all runs taken together where that is wider, as when all units have the same share.  The bootstrap is
-    too narrow for ten trainings.
+    ``runs`` are those of all units together, or of each, which are summed.  The interval is Student's over the units,
+    :math:`\bar s \pm t_{0.975,\,k-1}\, \sigma / \sqrt{k}`, cut off at 0 and 1, or Wilson's of all runs taken together
+    where that is wider, as when all units have the same share.  The bootstrap is too narrow for ten trainings.
     """
     each, total = np.asarray(shares, dtype=np.float64), int(np.sum(runs))
     mean = float(each.mean())
@@ -123,16 +108,11 @@ def median(values: npt.ArrayLike) -> Estimate:
 def worst_cases(
     values: npt.ArrayLike, tail: float = 0.1, *, resamples: int = 1000, seed: int | Sequence[int] = 0
 ) -> Estimate:
-    r"""Return the conditional value at risk: the mean of the least values.
+    r"""Return the conditional value at risk: the mean of the least share :math:`\alpha`, the tail, of values ``(n,)``.
 
-    Parameters
-    ----------
-    values : array_like (n,)
-        One number a case, such as the share of starts that a controller saves on one plant out of many.
-    tail : float
-        :math:`\alpha`, above 0, at most 1; where :math:`\alpha n` is no whole number, the last case counts in part.
-    resamples, seed : int
-        Of the bootstrap over cases, whose interval is too narrow where fewer than some 25 are in the tail.
+    A value is that of a case, such as the share of starts that a controller saves on one plant out of many.  Where
+    :math:`\alpha n` is no whole number, the last case counts in part.  The bootstrap's interval over cases is too
+    narrow where fewer than some 25 are in the tail.
 
     Raises
     ------
@@ -175,16 +155,8 @@ def crossing(
     rows, its percentiles expanded for few rows as Student's distribution expands the normal's.  Rows may differ by
     chance, or be the same starts at every level: their ties are kept, since a row is drawn whole.
 
-    Parameters
-    ----------
-    levels : array_like (L,)
-        Increasing; the value is minus or plus infinite where it lies outside them.
-    outcomes : array_like (n, L)
-        A row for each unit of replication: a start's successes, or the shares of a trained controller.
-    share : float
-        Between 0 and 1.
-    resamples, seed : int
-        Of the bootstrap.
+    The rows ``(n, L)`` are units of replication: a start's successes, or the shares of a trained controller, at levels
+    ``(L,)`` that increase; a crossing beyond them is minus or plus infinite.
 
     Raises
     ------
@@ -272,16 +244,10 @@ class Ranking(NamedTuple):
 def ranking(criteria: Sequence[Sequence[Quotient]], *, resamples: int = 2000, seed: int = 0) -> Ranking:
     r"""Return ranks by one criterion after the other, and how stable they are when the runs are resampled.
 
-    Of two, the one with the greater :math:`\sum_i a_i / \sum_i b_i` over the runs that both have does better; where
-    these are equal, the next criterion decides.  Run ``i`` is the same start for every contender, and is drawn for all
-    at once.  So those that have fewer runs are compared on these, whether they were hard or easy.
-
-    Parameters
-    ----------
-    criteria : sequence of sequence of Quotient
-        Of each that is ranked, its criteria, the most important first; arrays ``(n,)``, ``n`` may differ.
-    resamples, seed : int
-        Of the bootstrap.
+    Each contender has criteria, the most important first.  Of two, the one with the greater
+    :math:`\sum_i a_i / \sum_i b_i` over the runs that both have does better; where these are equal, the next criterion
+    decides.  Run ``i`` of the arrays ``(n,)`` is the same start for every contender, and is drawn for all at once; so
+    those that have fewer runs are compared on these, whether they were hard or easy.
 
     Raises
     ------

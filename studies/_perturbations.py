@@ -1,8 +1,7 @@
 """How a rig is perturbed: RealAIGym's six axes of robustness, plants wrong in everything at once, real sensors.
 
-The rig is the one that all contenders believe in, :data:`~studies._field.RIG`, and is changed without their knowledge.
-Every contender is evaluated from the same starts, with the same noise and the same pushes; fewer starts or plants are
-the first of more.
+The rig is changed without the knowledge of the contenders, which believe in :data:`~studies._field.RIG`; they have the
+same starts, noise and pushes; fewer starts or plants are the first of more.
 
 Source of the axes: the robustness leaderboard (v2) of F. Wiebe et al., *Open Source Dual-Purpose Acrobot and Pendubot
 Platform*, 2023, as its code has them (GitHub dfki-ric-underactuated-lab/double_pendulum).  Torques of its 6 N m motors

@@ -91,8 +91,8 @@ def cell(value: Value, form: str = "", *, tried: Tried | None = None, bar: bool 
         return Cell(f"{value:,}", key=float(value))
     estimate = value if isinstance(value, Estimate) else Estimate(float(value))
     text, under = estimate.written(form, tried)
-    known = not math.isnan(estimate.value)
-    return Cell(text, under, float(estimate.value) if known else None, float(estimate.value) if bar and known else None)
+    key = None if math.isnan(estimate.value) else float(estimate.value)
+    return Cell(text, under, key, key if bar else None)
 
 
 def sheet(
@@ -106,26 +106,12 @@ def sheet(
 ) -> Sheet:
     """Return the table of lines that are mappings from headings to values, or of a frame.
 
-    Headings come in the order in which they are met first; where a line lacks one, there is a dash.  A column is of
-    words where all its values are.
-
-    Parameters
-    ----------
-    title, note : str
-        What stands above and below it.
-    lines : DataFrame or iterable of mapping
-        Values by heading.
-    form : str or mapping
-        How numbers are written, see :func:`studies._estimates.number`: one form for all headings, or by heading.  Where
-        none is given, shares below headings that end in "%" are percentages with one decimal.
-    tried : (float, float), optional
-        The least and the greatest level tried, of crossings.
-    brief : collection of str, optional
-        Headings of the columns that a terminal shows where there is no room for all; left out, the first of them.
+    Headings come in the order in which they are met first; where a line lacks one, there is a dash; a column in which
+    all are words is one of words.  One form for all numbers, or forms by heading, and the levels tried are as of
+    :func:`studies._estimates.number`; without a form, shares below headings that end in "%" are percentages with one
+    decimal.  A terminal shows the brief headings where there is no room for all; left out, the first.
     """
-    records: Sequence[Mapping[Any, Value]] = (
-        lines.to_dict("records") if isinstance(lines, pd.DataFrame) else list(lines)
-    )
+    records: Any = lines.to_dict("records") if isinstance(lines, pd.DataFrame) else list(lines)
     headings = list(dict.fromkeys(heading for record in records for heading in record))
     forms = dict.fromkeys(headings, form) if isinstance(form, str) else dict(form)
 

@@ -1,25 +1,21 @@
 """Which controllers swing the double pendulum up, how smoothly and robustly, and between equilibria?
 
 Method: every controller starts gustafsson2016 (±40 N, ±2.4 m, 0.02 s) from hanging and from the report's side start
-(π/2, π/2), both angles moved by U[-0.1, 0.1] rad, and succeeds if both links are up for the last second of 10 s; the
-starts are the same for all.  Then the same with starts moved by ±0.2 rad; with masses and lengths each wrong by up to
-5, 10 and 20 % at random; and with encoders of 2048 counts a turn (0.1 mm for the cart), no measured rates and one
-sample of delay, read through an extended Kalman filter.  Then the twelve transfers between the four equilibria, 6 s
-each, and hanging to upright on every preset.  Intervals are Wilson's, 95 %.  Steps are timed one run at a time, also of
-laws that could treat many at once; a step is late if it takes longer than the sample time; the first step of a run, in
-which planners plan from nothing, is reported apart.  Yours takes part by ``--controller path.py:factory``.
+(π/2, π/2), angles moved by up to 0.1 rad, and succeeds if both links are up for the last second of 10 s; then with
+starts moved by ±0.2 rad, with masses and lengths wrong by up to 5, 10 and 20 %, and with encoders and a sample of delay
+behind an extended Kalman filter.  Then the twelve transfers between equilibria, and hanging to upright on every preset.
+Intervals are Wilson's, 95 %.  Steps are timed one run at a time; late ones take longer than the sample time.
 
 Finding: iLQR MPC, NMPC and TVLQR swing up from all 400 starts.  iLQR MPC takes 0.1 ms a step (median) and succeeds in
 99.5 % with plants 10 % off, 98 % at 20 %, 100 % behind encoders and delay.  Passivity and LQR arrive in 0 and 9.5 %,
-pumping and LQR in 40.5 and 51.5 %, with a planned last swing always.  All 12 transfers: iLQR MPC and TVLQR, 50 of 50
-each.  From the default options, kept in docs/results/swing_up.
+pumping and LQR in 40.5 and 51.5 %, with a planned last swing always.  All 12 transfers: iLQR MPC and TVLQR, 50 of 50.
 """
 
 from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -52,10 +48,9 @@ def _energy_nmpc(rig: dpend.Rig, task: dpend.Balance | dpend.SwingUp) -> NMPC:
 
 KNOWN = (
     *CONTENDERS,
-    Contender(
-        name="energy NMPC", make=_energy_nmpc, tasks=("swing-up",), style=("#56B4E9", "p", "-"), cost=Cost.EXPENSIVE
-    ),
-)
+    Contender(name="energy NMPC", make=_energy_nmpc, tasks=("swing-up",), cost=Cost.EXPENSIVE,
+              style=("#56B4E9", "p", "-")),
+)  # fmt: skip
 """Those that can take part; the last in this study only."""
 
 PLANT = "gustafsson2016"
@@ -138,30 +133,25 @@ NOMINAL = {name: getattr(Job, name) for name in ("target", "rig", "angle_spread"
 
 
 def jobs(options: Options) -> list[Job]:
-    """List the work, in chunks of runs, what takes longest first."""
-    return [
-        replace(case, first=first, runs=min(_CHUNK, case.runs - first))
-        for case in _cases(options)
-        for first in range(0, case.runs, _CHUNK)
-    ]
-
-
-def _cases(options: Options) -> Iterator[Job]:
-    """List what is tried, whole; where it must be quick one run of each kind, as long as all are."""
-    quick, each = options.quick, (options.runs, options.transfer_runs, options.preset_runs)
+    """List the work, in chunks of runs, what takes longest first; where it must be quick one run of each kind."""
+    cases, quick, each = [], options.quick, (options.runs, options.transfer_runs, options.preset_runs)
     runs, transfer_runs, preset_runs = (1, 1, 1) if quick else each
     for contender in sorted(options.contenders("swing-up"), key=lambda contender: contender.cost.value):
         name = contender.name
         nominal = Job(contender=name, own=contender.own, runs=runs, seed=options.seed)
-        conditions = list(CONDITIONS.values())
-        if quick or (name in NOMINAL_ONLY and not options.all):
-            conditions = conditions[:1]
-        yield from (replace(nominal, start=start, **changes) for start in STARTS for changes in conditions)
+        one = quick or (name in NOMINAL_ONLY and not options.all)
+        conditions = list(CONDITIONS.values())[: 1 if one else None]
+        cases += [replace(nominal, start=start, **changes) for start in STARTS for changes in conditions]
         moves = name in MOVERS or (options.all and name == "NMPC")
         for start, target in TRANSFERS[: 1 if quick else None] if moves else ():
-            yield replace(nominal, start=start, target=target, seconds=6.0, runs=transfer_runs)
+            cases.append(replace(nominal, start=start, target=target, seconds=6.0, runs=transfer_runs))
         if (moves or contender.own) and not quick:
-            yield from (replace(nominal, rig=rig, seconds=20.0, runs=preset_runs) for rig in PRESETS)
+            cases += [replace(nominal, rig=rig, seconds=20.0, runs=preset_runs) for rig in PRESETS]
+    return [
+        replace(case, first=first, runs=min(_CHUNK, case.runs - first))
+        for case in cases
+        for first in range(0, case.runs, _CHUNK)
+    ]
 
 
 def task_of(case: Any) -> dpend.SwingUp:
@@ -223,13 +213,9 @@ Runs = Mapping[str, Array]
 """Success and metrics by name, one a run."""
 
 _MEDIANS = {
-    "time up, s": ("time_up", ".2f"),
-    "peak, N": ("peak_force", ".1f"),
-    "track, m": ("travel", ".2f"),
-    "effort, N² s": ("effort", ".0f"),
-    "variation, 1/s": ("variation", ".2f"),
-    "saturated, %": ("saturated", ".0%"),
-}
+    "time up, s": ("time_up", ".2f"), "peak, N": ("peak_force", ".1f"), "track, m": ("travel", ".2f"),
+    "effort, N² s": ("effort", ".0f"), "variation, 1/s": ("variation", ".2f"), "saturated, %": ("saturated", ".0%"),
+}  # fmt: skip
 
 
 def runs_of(table: Table, contender: str, **fields: Any) -> Runs:
@@ -242,6 +228,11 @@ def runs_of(table: Table, contender: str, **fields: Any) -> Runs:
 def up(runs: Runs) -> Estimate:
     """Return the share of runs that succeeded; NaN of no runs."""
     return share(runs["success"], len(runs["success"]))
+
+
+def _rates(table: Table, contender: str, start: str) -> dict[str, Estimate]:
+    """Return the share of runs that succeeded under every condition."""
+    return {each: up(runs_of(table, contender, start=start, **changes)) for each, changes in CONDITIONS.items()}
 
 
 def _median(runs: Runs, metric: str) -> float:
@@ -258,39 +249,35 @@ def _counted(runs: Runs) -> str:
 
 def report(table: Table) -> Report:
     """Draw the swings, the success under every condition, and the transfers; tabulate them and how long steps take."""
-    looks = styles(table.rows["contender"], KNOWN)
+    looks, rows = styles(table.rows["contender"], KNOWN), table.rows
     movers, elsewhere = (
-        [name for name in looks if column[table.rows["contender"].to_numpy() == name].any()]
-        for column in (table.rows["start"].isin(dpend.EQUILIBRIA).to_numpy(), (table.rows["rig"] != PLANT).to_numpy())
+        [name for name in looks if name in set(rows["contender"][of.to_numpy()])]
+        for of in (rows["start"].isin(dpend.EQUILIBRIA), rows["rig"] != PLANT)
     )
     swings, conditions = [], []
     for name, start in itertools.product(looks, STARTS):
         line, runs = {"controller": name, "from": start}, runs_of(table, name, start=start)
         medians = {heading: _median(runs, metric) for heading, (metric, _) in _MEDIANS.items()}
         swings.append(line | {"up, %": up(runs)} | medians)
-        rates = {each: up(runs_of(table, name, start=start, **changes)) for each, changes in CONDITIONS.items()}
-        conditions.append(line | rates)
+        conditions.append(line | _rates(table, name, start))
     transfers = [
         {"from, to": f"{start}, {target}"}
         | {name: _counted(runs_of(table, name, start=start, target=target)) for name in movers}
         for start, target in TRANSFERS
+        if movers
     ]
     presets = [
         {"preset": rig} | {name: _counted(runs_of(table, name, rig=rig)) or "refused" for name in elsewhere}
         for rig in PRESETS
+        if elsewhere
     ]
+    forms = {heading: form for heading, (_, form) in _MEDIANS.items()}
     tables = [
-        sheet(
-            "Swing-up on the plant as it is believed to be; medians over the runs that succeed",
-            swings,
-            {heading: form for heading, (_, form) in _MEDIANS.items()},
-        ),
+        sheet("Swing-up on the plant as it is believed to be; medians over the runs that succeed", swings, forms),
         sheet("Runs that end up, %, under every condition", conditions, ".1%"),
         *_step_tables(table, looks),
-        sheet("Transfers between equilibria: successes of runs, median time to arrive", transfers if movers else []),
-        sheet(
-            "Hanging to upright on the other presets: successes of runs, median time up", presets if elsewhere else []
-        ),
+        sheet("Transfers between equilibria: successes of runs, median time to arrive", transfers),
+        sheet("Hanging to upright on the other presets: successes of runs, median time up", presets),
     ]
     figures = {"": _swings(table, looks), "_success": _success(table, looks)}
     if movers:
@@ -364,8 +351,7 @@ def _success(table: Table, looks: Mapping[str, Style]) -> Figure:
     figure, axes = facets(1, len(STARTS), height=1.2 + 0.5 * len(CONDITIONS), sharex=True, sharey=True)
     for axis, (start, title) in zip(axes[0], STARTS.items(), strict=True):
         for order, (name, style) in enumerate(looks.items()):
-            rates = {each: up(runs_of(table, name, start=start, **changes)) for each, changes in CONDITIONS.items()}
-            forest(axis, rates, style, aside=0.09 * (order - (len(looks) - 1) / 2), label=name)
+            forest(axis, _rates(table, name, start), style, aside=0.09 * (order - (len(looks) - 1) / 2), label=name)
         axis.set_title(title)
         share_axis(axis, along="x")
     figure.supxlabel("runs that end upright")
