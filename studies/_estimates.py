@@ -111,16 +111,10 @@ def worst_cases(
     r"""Return the conditional value at risk: the mean of the least share :math:`\alpha`, the tail, of values ``(n,)``.
 
     A value is that of a case, such as the share of starts that a controller saves on one plant out of many.  Where
-    :math:`\alpha n` is no whole number, the last case counts in part.  The bootstrap's interval over cases is too
-    narrow where fewer than some 25 are in the tail.
+    :math:`\alpha n` is no whole number, the last case counts in part; a tail of less than one, or values that are not
+    finite, are a ValueError.  The bootstrap's interval over cases is too narrow where fewer than some 25 are in the
+    tail.
 
-    Raises
-    ------
-    ValueError
-        If the values are not a row of finite numbers, or the tail holds less than one of them.
-
-    Notes
-    -----
     Source: R. T. Rockafellar and S. Uryasev, *Optimization of Conditional Value-at-Risk*, 2000.
     """
     cases = np.asarray(values, dtype=np.float64)
@@ -156,18 +150,11 @@ def crossing(
     chance, or be the same starts at every level: their ties are kept, since a row is drawn whole.
 
     The rows ``(n, L)`` are units of replication: a start's successes, or the shares of a trained controller, at levels
-    ``(L,)`` that increase; a crossing beyond them is minus or plus infinite.
+    ``(L,)`` that increase; a crossing beyond them is minus or plus infinite.  Shapes that do not fit, levels that do
+    not increase, and a share that is not between 0 and 1 are a ValueError.
 
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit, the levels do not increase, or the share is not between 0 and 1.
-
-    Notes
-    -----
     With starts as rows the interval covers as it should from some 200 on, with ten trainings as rows too.  What is
     assumed between levels shows in :math:`\lambda_{90}` where success falls by more than a third from one to the next.
-
     Source of the expansion: T. Hesterberg, *What Teachers Should Know About the Bootstrap*, 2015.
     """
     points = np.asarray(levels, dtype=np.float64)
@@ -247,17 +234,9 @@ def ranking(criteria: Sequence[Sequence[Quotient]], *, resamples: int = 2000, se
     Each contender has criteria, the most important first.  Of two, the one with the greater
     :math:`\sum_i a_i / \sum_i b_i` over the runs that both have does better; where these are equal, the next criterion
     decides.  Run ``i`` of the arrays ``(n,)`` is the same start for every contender, and is drawn for all at once; so
-    those that have fewer runs are compared on these, whether they were hard or easy.
-
-    Raises
-    ------
-    ValueError
-        If there is no contender, or the arrays of one have different lengths.
-
-    Notes
-    -----
-    Where some have fewer runs, three may beat each other in a circle; then they share a rank.  The bootstrap cannot
-    know what no run has shown: two that never failed are equal in every resample.
+    those that have fewer runs are compared on these, whether they were hard or easy; three may then beat each other in
+    a circle, and share a rank.  The bootstrap cannot know what no run has shown: two that never failed are equal in
+    every resample.  No contender, or arrays of different lengths for one, are a ValueError.
     """
     lengths = np.array([len(np.asarray(own[0][0])) for own in criteria], dtype=np.int64)
     if not len(lengths) or any(np.shape(each) != (n,) for own, n in zip(criteria, lengths, strict=True)

@@ -246,10 +246,7 @@ class Options(_runner.Options):
 def find(name: str, own_controller: Own | None = None, known: Iterable[Contender] = CONTENDERS) -> Contender:
     """Return the contender that a job names: one of those known, or a user's own by its ``own``.
 
-    Raises
-    ------
-    ValueError
-        If no contender has this name, or a user's own controller is not what it was when the job was listed.
+    It is a ValueError if there is none, or a user's own controller is not what it was when the job was listed.
     """
     if own_controller is not None:
         found = own(own_controller.spec)

@@ -60,14 +60,8 @@ def where(rows: pd.DataFrame, **fields: Any) -> pd.DataFrame:
 def save(table: Table, folder: Path, meta: Mapping[str, Any]) -> None:
     """Write a table to a folder that exists, each file to its end or not at all.
 
-    ``meta`` stands in ``meta.json`` beside the types of the columns.
-
-    Raises
-    ------
-    TypeError
-        If a column mixes words, truth values and numbers, so that it would not be read back as it is.
-    OSError
-        If a file cannot be written.
+    ``meta`` stands in ``meta.json`` beside the types of the columns; a column that mixes words, truth values and
+    numbers, so that it would not be read back as it is, is a TypeError.
     """
     columns = {column: str(kind) for column, kind in table.rows.dtypes.items()}
     gaps = {column for column in columns if table.rows[column].isna().to_numpy().any()}

@@ -18,7 +18,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -303,40 +303,34 @@ def _step_tables(table: Table, names: Iterable[str]) -> tuple[Sheet, Sheet]:
     )
 
 
-class Swing(NamedTuple):
-    """A contender's first nominal run from hanging, as long as it lasted."""
-
-    success: bool
-    time_up: float
-    x: Array
-    u: Array
-
-    @classmethod
-    def of(cls, table: Table, contender: str) -> Swing:
-        """Return it from the table."""
-        x, u = (table.array(each, contender=contender) for each in ("x", "u"))
-        lasted, runs = int(np.isfinite(u).sum()), runs_of(table, contender, start="hanging")
-        return cls(bool(runs["success"][0]), float(runs["time_up"][0]), x[: lasted + 1], u[:lasted])
-
-    def samples(self, after: float, otherwise: float, sample_time: float) -> int:
-        """Return its samples until some seconds after it was up, or some seconds where it never was."""
-        return min(len(self.u), round((self.time_up + after if self.success else otherwise) / sample_time))
+def _first_swing(table: Table, line: Any, after: float = np.inf, otherwise: float = np.inf) -> dpend.Run:
+    """Return a first nominal run from hanging: until some seconds after it was up, or the first where it never was."""
+    rig, runs = dpend.rig(PLANT), runs_of(table, line.contender, start="hanging")
+    x, u = (table.array(each, contender=line.contender) for each in ("x", "u"))
+    success, time_up = bool(runs["success"][0]), float(runs["time_up"][0])
+    lasted = rig.sample_time * np.isfinite(u).sum()
+    n = round(min(lasted, time_up + after if success else otherwise) / rig.sample_time)
+    return dpend.Run(
+        t=rig.sample_time * np.arange(n + 1, dtype=np.float64), x=x[: n + 1], y=x[: n + 1], u=u[:n],
+        step_time=np.full(n, np.nan), status=dpend.Status.FULL_LENGTH, success=success, time_up=time_up,
+        rig=rig, controller=line.contender, task=repr(task_of(line)), seed=line.seed,
+    )  # fmt: skip
 
 
 def _swings(table: Table, names: Collection[str]) -> Figure:
     """Draw for every controller its first swing from hanging: as strobe pictures, angles, and force."""
-    rig, height = dpend.rig(PLANT), 1.55 * len(names) + 0.5
+    first = {line.contender: line for line in table.lines(timed=True, start="hanging", first=0)}
+    height = 1.55 * len(names) + 0.5
     figure, axes = facets(len(names), 3, height=height, width=7.0, width_ratios=(1.0, 1.15, 1.15), sharex="col")
     for name, (strobe, angles, force) in zip(names, axes, strict=True):
-        swing = Swing.of(table, name)
-        draw_strobe(strobe, swing.x[: swing.samples(0.6, 5.0, rig.sample_time) + 1], rig)
+        run = _first_swing(table, first[name])
+        draw_strobe(strobe, _first_swing(table, first[name], 0.6, 5.0).x, run.rig)
         strobe.set(xlim=(-3.6, 3.6), title=name)
-        t = rig.sample_time * np.arange(len(swing.x))
         for column, colour, line in ((1, "#0072B2", "-"), (2, "#D55E00", "--")):
-            angles.plot(t, swing.x[:, column] / np.pi, color=colour, ls=line, label=f"link {column}")
+            angles.plot(run.t, run.x[:, column] / np.pi, color=colour, ls=line, label=f"link {column}")
         angles.set_xlim(0, 6)
-        force_trace(force, swing.u, rig.sample_time, 6.0, "#009E73", "")
-        if not swing.success:
+        force_trace(force, run.u, run.rig.sample_time, 6.0, "#009E73", "")
+        if not run.success:
             note(force, "not up")
     axes[0, 1].set_title("angles (half turns)")
     axes[0, 2].set_title("force on the cart (N)")
@@ -377,17 +371,11 @@ def films(table: Table) -> dict[str, Callable[[Path], object]]:
 
     It shows a second more than until it is up.  Where two names differ in signs only, a job's number tells them apart.
     """
-    rig, found = dpend.rig(PLANT), {}
+    found = {}
     for line in table.lines(timed=True, start="hanging", first=0):
-        swing = Swing.of(table, line.contender)
-        n = swing.samples(1.0, 6.0, rig.sample_time)
-        run = dpend.Run(
-            t=rig.sample_time * np.arange(n + 1, dtype=np.float64), x=swing.x[: n + 1], y=swing.x[: n + 1],
-            u=swing.u[:n], step_time=np.full(n, np.nan), status=dpend.Status.FULL_LENGTH, success=swing.success,
-            time_up=swing.time_up, rig=rig, controller=line.contender, task=repr(task_of(line)), seed=line.seed,
-        )  # fmt: skip
         stem = re.sub(r"[^\w-]+", "_", line.contender)
-        found[f"{stem}_{line.job}.gif" if f"{stem}.gif" in found else f"{stem}.gif"] = run.animate
+        name = f"{stem}_{line.job}.gif" if f"{stem}.gif" in found else f"{stem}.gif"
+        found[name] = _first_swing(table, line, 1.0, 6.0).animate
     return found
 
 
