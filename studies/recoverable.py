@@ -1,17 +1,15 @@
 """From which starts can the double pendulum be saved at all?
 
 Method: gustafsson2016 (40 N, 2.4 m), starts at rest, 300 samples, neither link beyond a right angle.  A start is
-recoverable if any controller of a list saves it in the simulator, or optimal control does: the motion that asks for
-the least force (controllers/least_force.py), its forces replayed from the exact start, then LQR.  A controller of yours
-(``--controller path.py:factory``) is tried on what is left.  What then is left is "not found": no proof that there is
-nothing.  Beside it stands an indicator, the null-controllable set of the two unstable modes of the linearisation.
-Random starts are those of studies.lambda_sweep; a grid of (θ1, θ2) gives the map.
+recoverable if any controller of a list, or one of yours (``--controller``), saves it in the simulator, or the motion of
+least force does (controllers/least_force.py), its forces replayed from the exact start, then LQR.  What is left is "not
+found", which is no proof.  Beside it stands an indicator, the null-controllable set of the linearisation's two unstable
+modes.  Random starts are those of studies.lambda_sweep; a grid of (θ1, θ2) gives the map.
 
-Finding: at λ = .1/.2/.3/.4/.5/.6 100/100/98.7/86.5/73.8/60.1 % of 1000 starts each (95 %: ±1 to ±3), where LQR
-saves 100/99.8/84.5/64.5/47.2/35.2 %.  What is found needs at most 39.99 N, what is not at least 40.04 N.  Of the
-recoverable among the first 200, iLQR MPC saves 99.5 % at λ = .3 and 97.6 % at .4.  By the report's criterion, which
-lets link 2 swing round, all but 18 of 7000 starts are recoverable.  From the default options, kept in
-docs/results/recoverable.
+Finding: at λ = .1/.2/.3/.4/.5/.6 100/100/98.7/86.5/73.8/60.1 % of 1000 starts each (95 %: ±1 to ±3), where LQR saves
+100/99.8/84.5/64.5/47.2/35.2 %.  What is found needs at most 39.99 N, what is not at least 40.04 N.  Of the recoverable
+among the first 200, iLQR MPC saves 99.5 % at λ = .3 and 97.6 % at .4.  By the report's criterion, which lets link 2
+swing round, all but 18 of 7000 starts are recoverable.  From the default options, kept in docs/results/recoverable.
 """
 
 from __future__ import annotations
@@ -24,8 +22,8 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 import dpend
@@ -35,7 +33,7 @@ from dpend.tasks import check_lam
 from . import _field, _runner
 from ._closure import kept_table
 from ._estimates import Estimate, share
-from ._figures import Style, curves, facets, share_axis
+from ._figures import Style, facets, saved_by_angle
 from ._null_controllable import null_controllable
 from ._own import Own
 from ._rescue import FORCE, LAWS, MPC, NONE, OPTIMAL, RIG, Verdict, judge
@@ -49,13 +47,7 @@ _CHUNK = 50  # starts a job
 
 
 def check_spreads(lam: tuple[float, ...]) -> None:
-    """Refuse what is no list of greatest starting angles.
-
-    Raises
-    ------
-    ValueError
-        If there is none, one is named twice, or one is no such angle.
-    """
+    """Refuse what is no list of greatest starting angles, each named once."""
     if not lam:
         raise ValueError("--lam needs at least one angle.")
     for each in lam:
@@ -177,25 +169,14 @@ def shipped_rows() -> pd.DataFrame:
 
 
 def shipped() -> dict[float, npt.NDArray[np.bool_]]:
-    """Return which starts are recoverable, by λ: row ``i`` is start ``i`` of seed 0, from the shipped table.
-
-    Returns
-    -------
-    dict
-        Arrays ``(n,)`` of the starts ``Balance(lam).starts(default_rng([0, 1]), n, rig)``.
-    """
+    """Return which starts ``Balance(lam).starts(default_rng([0, 1]), n, rig)`` are recoverable, ``(n,)`` by λ."""
     return {lam: own["recoverable"].to_numpy() for lam, own in _by_lam(shipped_rows()).items()}
 
 
 def shipped_map() -> tuple[Array, Array]:
-    """Return the least force that saves a start at rest, over both angles, from the table that is shipped.
+    """Return angles of either link ``(m,)``, rad, and the least force ``(m, m)`` from there at rest, by θ2 and θ1.
 
-    Returns
-    -------
-    angles : ndarray (m,)
-        Of either link, rad.
-    force : ndarray (m, m)
-        N, by θ2 and θ1; NaN where no motion was found.
+    N, from the table that is shipped; NaN where no motion was found.
     """
     on_map = _on_map(shipped_rows())
     return _mirrored(on_map, on_map["least_force"])
@@ -233,44 +214,43 @@ _CURVES: dict[str, tuple[Style, str]] = {
 
 def report(table: Table) -> Report:
     """Draw the share that can be saved against λ, and the map; tabulate what saves it."""
-    by_lam = _by_lam(table.rows)
+    by_lam, on_map = _by_lam(table.rows), _on_map(table.rows)
     shares = {
         name: {lam: share(own[column], len(own)) for lam, own in by_lam.items()}
         for name, (_, column) in _CURVES.items()
     }  # fmt: skip
     figure, ((axis,),) = facets(1, height=3.8)
-    curves(axis, shares, [style for style, _ in _CURVES.values()])
-    share_axis(axis, "starts saved")
-    axis.set_xlabel("greatest starting angle λ (rad)")
+    saved_by_angle(axis, shares, [style for style, _ in _CURVES.values()])
     axis.legend(loc="lower left")
-    figures = {"": figure}
-    on_map = _on_map(table.rows)
-    if len(on_map):
-        figures["_map"], ((axis,),) = facets(1, height=6.0)
-        _plot_map(axis, on_map)
+    figures = {"": figure} | ({"_map": _plot_map(on_map)} if len(on_map) else {})
     return Report(figures=figures, tables=[_shares_table(by_lam, shares), _ways_table(by_lam), *_planned_table(by_lam)])
 
 
-def _plot_map(axis: Axes, rows: pd.DataFrame) -> None:
+def _plot_map(rows: pd.DataFrame) -> Figure:
     """Draw what saves each start, the least force as contours, and the indicator's boundary."""
+    figure, ((axis,),) = facets(1, height=6.0)
     feedback = np.where(rows["lqr"], 3, np.where(rows["by"].isin(list(LAWS)), 2, 1))
     angles, kind = _mirrored(rows, np.where(rows["recoverable"], feedback, 0))
     force = _mirrored(rows, rows["least_force"])[1]
-    colours = ["#f0f0f0", "#b8b8b8", "#8ab6dc", "#2d6da8"]
-    words = ["not found", "only optimal control or others", "another LQR or its sign", "LQR, Q = I, R = 1"]
-    axis.pcolormesh(angles, angles, kind, cmap=ListedColormap(colours), vmin=-0.5, vmax=3.5, shading="nearest")
+    words = {
+        "not found": "#f0f0f0",
+        "only optimal control or others": "#b8b8b8",
+        "another LQR or its sign": "#8ab6dc",
+        "LQR, Q = I, R = 1": "#2d6da8",
+    }
+    axis.pcolormesh(
+        angles, angles, kind, cmap=ListedColormap(list(words.values())), vmin=-0.5, vmax=3.5, shading="nearest"
+    )
     if len(angles) > 4:
         levels = axis.contour(angles, angles, force, [10, 20, 40, 80], colors="k", linewidths=[0.6, 0.6, 1.6, 0.6])
         axis.clabel(levels, fmt="%g N", fontsize=7)
-    ring = null_controllable(RIG.params, FORCE).at_rest()
-    (line,) = axis.plot(*np.vstack([ring, ring[:1]]).T, "--", color="#D55E00", lw=1.6)
-    patches = [Patch(facecolor=colour, edgecolor="k", lw=0.4) for colour in reversed(colours)]
-    axis.legend(
-        [*patches, line], [*reversed(words), "null-controllable set of the linearization, 40 N"],
-        ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0),
-    )  # fmt: skip
+    ring, of = null_controllable(RIG.params, FORCE).at_rest(), "null-controllable set of the linearization, 40 N"
+    (line,) = axis.plot(*np.vstack([ring, ring[:1]]).T, "--", color="#D55E00", lw=1.6, label=of)
+    patches = [Patch(facecolor=colour, edgecolor="k", lw=0.4, label=name) for name, colour in words.items()]
+    axis.legend(handles=[*reversed(patches), line], ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     limits = 1.02 * angles[0] - 0.02, 1.02 * angles[-1] + 0.02
     axis.set(xlabel="θ1 (rad)", ylabel="θ2 (rad)", xlim=limits, ylim=limits, aspect="equal")
+    return figure
 
 
 def _shares_table(by_lam: Mapping[float, pd.DataFrame], shares: Mapping[str, Mapping[float, Estimate]]) -> Sheet:
@@ -280,12 +260,11 @@ def _shares_table(by_lam: Mapping[float, pd.DataFrame], shares: Mapping[str, Map
 
 
 def _ways_table(by_lam: Mapping[float, pd.DataFrame]) -> Sheet:
-    ours = (*LAWS, OPTIMAL, MPC)
-    yours = dict.fromkeys(by for own in by_lam.values() for by in own["by"] if by not in (*ours, NONE))
+    ways = dict.fromkeys((*LAWS, OPTIMAL, MPC, *(by for own in by_lam.values() for by in own["by"] if by != NONE)))
     lines = [
-        {"": "not found" if name == NONE else name}
-        | {f"λ = {lam:g}": int(np.sum(own["by"] == name)) for lam, own in by_lam.items()}
-        for name in (*ours, *yours, NONE)
+        {"": "not found" if way == NONE else way}
+        | {f"λ = {lam:g}": int(np.sum(own["by"] == way)) for lam, own in by_lam.items()}
+        for way in (*ways, NONE)
     ]
     return sheet("What saved a start first, in this order", lines)
 
@@ -295,15 +274,11 @@ def _planned_table(by_lam: Mapping[float, pd.DataFrame]) -> list[Sheet]:
     for lam, own in by_lam.items():
         first = own[own["index"] < _planned(own)]
         can = first[first["recoverable"]]
+        saved = {"LQR": can["lqr"], "sign of stiff LQR": can["stiff_sign"], "iLQR MPC": can["mpc"] == "yes"}
         if len(can):
-            saved = {
-                "LQR, %": can["lqr"],
-                "sign of stiff LQR, %": can["stiff_sign"],
-                "iLQR MPC, %": can["mpc"] == "yes",
-            }
             lines.append(
                 {"λ": f"{lam:g}", "first": len(first), "recoverable": len(can)}
-                | {name: share(each, len(can)) for name, each in saved.items()}
+                | {f"{name}, %": share(each, len(can)) for name, each in saved.items()}
             )
     return [sheet("Of the recoverable among the first starts: saved, %", lines)] if lines else []
 
