@@ -40,7 +40,7 @@ def basin(rig: dpend.Rig, controller: dpend.Controller, side: int, seed: int) ->
 
 
 def part_saved(saved: npt.NDArray[Any]) -> float:
-    """Return share of what can be saved that a basin ``(side, side)`` holds, by area; of several trainings, the mean.
+    """Return the share of what can be saved that a basin ``(side, side)`` holds, by area; of trainings, the mean.
 
     What can be saved is where the least force, linear between the points of ``recoverable``'s map, is within the limit.
     """

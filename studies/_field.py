@@ -132,69 +132,41 @@ BOTH: tuple[TaskName, ...] = ("balance", "swing-up")
 CONTENDERS: tuple[Contender, ...] = (
     Contender(name="LQR", make=lambda rig, task: LQR(rig), style=("#0072B2", "o", "-")),
     Contender(name="stiff LQR", make=lambda rig, task: _stiff(rig), style=("#56B4E9", "<", "--")),
-    Contender(
-        name="sign of LQR", make=lambda rig, task: BangBang(LQR(rig), float(rig.force_limit)),
-        style=("#E69F00", "s", "--"),
-    ),
-    Contender(
-        name="sign of stiff LQR", make=lambda rig, task: BangBang(_stiff(rig), float(rig.force_limit)),
-        style=("#D55E00", "^", "--"),
-    ),
+    Contender(name="sign of LQR", make=lambda rig, task: BangBang(LQR(rig), float(rig.force_limit)),
+              style=("#E69F00", "s", "--")),
+    Contender(name="sign of stiff LQR", make=lambda rig, task: BangBang(_stiff(rig), float(rig.force_limit)),
+              style=("#D55E00", "^", "--")),
     Contender(name="SDRE", make=lambda rig, task: SDRE(rig), style=("#009E73", ">", "-."), cost=Cost.MODERATE),
     Contender(name="iLQR MPC", make=_planner, tasks=BOTH, style=("#000000", "X", "-"), cost=Cost.MODERATE),
     Contender(name="NMPC", make=_nonlinear, tasks=BOTH, style=("#777777", "P", "-"), cost=Cost.EXPENSIVE),
-    Contender(
-        name="TVLQR", make=_follower, tasks=("swing-up",), style=("#009E73", "^", "-"),
-        prior_knowledge=PriorKnowledge("equations and parameters", "effort of a trajectory, then quadratic cost", "-"),
-    ),
-    Contender(
-        name="passivity, LQR", make=lambda rig, task: SwitchingController(rig, EnergySwingUp(rig)),
-        tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#8C6D1F", "v", ":"), cost=Cost.MODERATE,
-    ),
-    Contender(
-        name="pumping, LQR", make=lambda rig, task: SwitchingController(rig, EnergyPump(rig)),
-        tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#E69F00", "v", "-."), cost=Cost.MODERATE,
-    ),
-    Contender(
-        name="pumping, iLQR, LQR", make=_planned_last_swing,
-        tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#D55E00", "s", "--"), cost=Cost.MODERATE,
-    ),
-    Contender(
-        name="Q tuned", make=_learned("q-tuned"), learner=lambda rig: LinearQLearning.tuned(rig), policy="q-tuned",
-        prior_knowledge=PriorKnowledge("none", "report's cost, weights tuned", "λ = .08 about upright, tests to .3"),
-        style=("#009E73", "D", "-."),
-    ),
-    Contender(
-        name="QAC tuned", make=_learned("qac-tuned"), learner=lambda rig: GaussianQAC.tuned(rig), policy="qac-tuned",
-        prior_knowledge=PriorKnowledge("none", "quadratic cost, angles costly at first", "λ = .1 about upright"),
-        style=("#CC79A7", "*", (0, (6, 1, 1, 1))),
-    ),
-    Contender(
-        name="LSPI", make=_learned("lspi"), learner=lambda rig: LSPI(rig), policy="lspi",
-        prior_knowledge=PriorKnowledge("none", "quadratic cost", "λ = .02 about upright"),
-        style=("#56B4E9", "p", "-"),
-    ),
-    Contender(
-        name="PPO balance", make=_learned("ppo-balance"), policy="ppo-balance", trainings="ppo-balance",
-        prior_knowledge=_NEAR, style=("#0072B2", "d", ":"),
-    ),
-    Contender(
-        name="DDPG balance", make=_learned("ddpg-balance"), policy="ddpg-balance", trainings="ddpg-balance",
-        prior_knowledge=_NEAR, style=("#E69F00", "d", ":"),
-    ),
-    Contender(
-        name="PPO swing-up", make=_learned("ppo-swing-up"), tasks=BOTH, prior_knowledge=_SHAPED,
-        style=("#CC79A7", "o", "-"), policy="ppo-swing-up", trainings="ppo-swing-up",
-    ),
-    Contender(
-        name="PPO swing-up, smooth", make=_learned("ppo-swing-up-smooth"), tasks=BOTH,
-        prior_knowledge=PriorKnowledge("none", "shaped, and changes of force", "anywhere, near upright too"),
-        style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth", trainings="ppo-swing-up-smooth",
-    ),
-    Contender(
-        name="DDPG swing-up", make=_learned("ddpg-swing-up"), tasks=BOTH, prior_knowledge=_SHAPED,
-        style=("#D55E00", "D", ":"), policy="ddpg-swing-up", trainings="ddpg-swing-up",
-    ),
+    Contender(name="TVLQR", make=_follower, tasks=("swing-up",), style=("#009E73", "^", "-"),
+              prior_knowledge=_DESIGNED._replace(reward="effort of a trajectory, then quadratic cost")),
+    Contender(name="passivity, LQR", make=lambda rig, task: SwitchingController(rig, EnergySwingUp(rig)),
+              tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#8C6D1F", "v", ":"), cost=Cost.MODERATE),
+    Contender(name="pumping, LQR", make=lambda rig, task: SwitchingController(rig, EnergyPump(rig)),
+              tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#E69F00", "v", "-."), cost=Cost.MODERATE),
+    Contender(name="pumping, iLQR, LQR", make=_planned_last_swing, tasks=("swing-up",), prior_knowledge=_ENERGY,
+              style=("#D55E00", "s", "--"), cost=Cost.MODERATE),
+    Contender(name="Q tuned", make=_learned("q-tuned"), learner=lambda rig: LinearQLearning.tuned(rig),
+              policy="q-tuned", style=("#009E73", "D", "-."), prior_knowledge=PriorKnowledge(
+                  "none", "report's cost, weights tuned", "λ = .08 about upright, tests to .3")),
+    Contender(name="QAC tuned", make=_learned("qac-tuned"), learner=lambda rig: GaussianQAC.tuned(rig),
+              policy="qac-tuned", style=("#CC79A7", "*", (0, (6, 1, 1, 1))), prior_knowledge=PriorKnowledge(
+                  "none", "quadratic cost, angles costly at first", "λ = .1 about upright")),
+    Contender(name="LSPI", make=_learned("lspi"), learner=lambda rig: LSPI(rig), policy="lspi",
+              prior_knowledge=PriorKnowledge("none", "quadratic cost", "λ = .02 about upright"),
+              style=("#56B4E9", "p", "-")),
+    Contender(name="PPO balance", make=_learned("ppo-balance"), policy="ppo-balance", trainings="ppo-balance",
+              prior_knowledge=_NEAR, style=("#0072B2", "d", ":")),
+    Contender(name="DDPG balance", make=_learned("ddpg-balance"), policy="ddpg-balance", trainings="ddpg-balance",
+              prior_knowledge=_NEAR, style=("#E69F00", "d", ":")),
+    Contender(name="PPO swing-up", make=_learned("ppo-swing-up"), tasks=BOTH, prior_knowledge=_SHAPED,
+              style=("#CC79A7", "o", "-"), policy="ppo-swing-up", trainings="ppo-swing-up"),
+    Contender(name="PPO swing-up, smooth", make=_learned("ppo-swing-up-smooth"), tasks=BOTH,
+              prior_knowledge=PriorKnowledge("none", "shaped, and changes of force", "anywhere, near upright too"),
+              style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth", trainings="ppo-swing-up-smooth"),
+    Contender(name="DDPG swing-up", make=_learned("ddpg-swing-up"), tasks=BOTH, prior_knowledge=_SHAPED,
+              style=("#D55E00", "D", ":"), policy="ddpg-swing-up", trainings="ddpg-swing-up"),
 )  # fmt: skip
 """All that come with the package, as designed with their defaults or as shipped."""
 
@@ -206,11 +178,9 @@ _OWN: tuple[Style, ...] = (
 
 def styles(names: Iterable[str], known: Iterable[Contender] = CONTENDERS) -> dict[str, Style]:
     """Return the style of each name, in the order of those known; users' own get one in turn and come last."""
-    own_styles = cycle(_OWN)
-    style = {contender.name: contender.style for contender in known}
-    present = dict.fromkeys(names)
+    style, present = {contender.name: contender.style for contender in known}, dict.fromkeys(names)
     chosen = {name: style[name] for name in style if name in present}
-    return chosen | {name: next(own_styles) for name in present if name not in style}
+    return chosen | dict(zip((name for name in present if name not in style), cycle(_OWN), strict=False))
 
 
 # ------------------------------------------------------------------------------------------------ who takes part
@@ -230,12 +200,13 @@ class Options(_runner.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        names = [contender.name for contender in (*self.known, *map(own, self.controller))]
+        every = (*self.known, *map(own, self.controller))
+        names = [contender.name for contender in every]
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"--controller: two contenders are called {name!r}; rename the factory.")
         for name in self.only:
-            find(name, known=(*self.known, *map(own, self.controller)))
+            find(name, known=every)
 
     def contenders(self, task: TaskName) -> list[Contender]:
         """Return those that do a task and were not left out, the user's own last."""

@@ -57,12 +57,11 @@ _ERRORS = (-0.25, -0.17, -0.08, 0.08, 0.17, 0.25)
 _TORQUE_TO_FORCE = float(RIG.force_limit) / 6.0
 FRICTIONS = {
     "cart_friction": 0.1 * _TORQUE_TO_FORCE,  # N s/m
-    "joint1_friction": 0.1,
+    "joint1_friction": 0.1,  # N m s
     "joint2_friction": 0.1,
-    "cart_coulomb": 0.2 * _TORQUE_TO_FORCE,
+    "cart_coulomb": 0.2 * _TORQUE_TO_FORCE,  # N
 }
-"""Frictions and their greatest values, N s/m, N m s and N; the rig has none, and RealAIGym's negative ones are left
-out."""
+"""Frictions and their greatest values, of which the rig has none; RealAIGym's negative ones are left out."""
 
 
 def _resolved(params: dpend.Params) -> dict[str, float]:
@@ -111,26 +110,16 @@ AXES: tuple[Axis, ...] = (
         Axis(name=name, group="model", levels=tuple(most * np.arange(1, 7) / 6), changes=_friction(name), words=words)
         for (name, most), words in zip(FRICTIONS.items(), ("N s/m", "N m s", "N m s", "N"), strict=True)
     ),
-    Axis(
-        name="velocity noise", group="velocity noise", levels=(0.1, 0.2, 0.3, 0.4, 0.5),
-        changes=lambda levels: {"sensor_noise": levels[..., None] * _RATES}, words="noise of rates, σ (m/s, rad/s)",
-    ),
-    Axis(
-        name="force noise", group="force noise", levels=tuple(1.1 * _TORQUE_TO_FORCE * np.arange(1, 6) / 5),
-        changes=lambda levels: {"force_noise": levels}, words="noise of the force, σ (N)",
-    ),
-    Axis(
-        name="response", group="response", levels=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
-        changes=lambda levels: {"actuator_lag": lag(1 - levels)}, words="force missing after a sample, 1 − k",
-    ),
-    Axis(
-        name="delay", group="delay", levels=(1.0, 2.0),
-        changes=lambda levels: {"sensor_delay": np.rint(levels).astype(np.int64)}, words="delay (samples of 20 ms)",
-    ),
-    Axis(
-        name="pulses", group="pulses", levels=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
-        words="pulses, share of 33 N and 5 N m", pulses=True, theirs=0.1,
-    ),
+    Axis(name="velocity noise", group="velocity noise", levels=(0.1, 0.2, 0.3, 0.4, 0.5),
+         changes=lambda levels: {"sensor_noise": levels[..., None] * _RATES}, words="noise of rates, σ (m/s, rad/s)"),
+    Axis(name="force noise", group="force noise", levels=tuple(1.1 * _TORQUE_TO_FORCE * np.arange(1, 6) / 5),
+         changes=lambda levels: {"force_noise": levels}, words="noise of the force, σ (N)"),
+    Axis(name="response", group="response", levels=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
+         changes=lambda levels: {"actuator_lag": lag(1 - levels)}, words="force missing after a sample, 1 − k"),
+    Axis(name="delay", group="delay", levels=(1.0, 2.0),
+         changes=lambda levels: {"sensor_delay": np.rint(levels).astype(np.int64)}, words="delay (samples of 20 ms)"),
+    Axis(name="pulses", group="pulses", levels=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
+         words="pulses, share of 33 N and 5 N m", pulses=True, theirs=0.1),
 )  # fmt: skip
 """RealAIGym's: one parameter wrong at a time, noise of measured rates, noise of the force, slow force, late
 measurements, pushes; the rig's nominal level left out."""
@@ -285,22 +274,14 @@ def encoders(counts: npt.ArrayLike) -> Array:
 _FINE = {"resolution": encoders(2048)}
 
 SENSORS: tuple[Axis, ...] = (
-    Axis(
-        name="noise", group="sensors", levels=(0.002, 0.005, 0.01, 0.02, 0.05),
-        changes=lambda levels: {"sensor_noise": levels * _POSITIONS}, words="noise of positions, σ (m, rad)",
-    ),
-    Axis(
-        name="encoders", group="sensors", levels=tuple(1 / counts for counts in (1024, 256, 128, 64, 32)),
-        changes=lambda levels: {"resolution": encoders(1 / levels)}, words="counts a turn",
-    ),
-    Axis(
-        name="delay", group="sensors", levels=(1.0, 2.0, 3.0),
-        changes=lambda levels: _FINE | {"sensor_delay": round(float(levels))}, words="delay (samples of 20 ms)",
-    ),
-    Axis(
-        name="lag", group="sensors", levels=(0.4, 0.6, 0.7, 0.8),
-        changes=lambda levels: _FINE | {"actuator_lag": float(lag(1 - levels))}, words="force missing (1 − k)",
-    ),
+    Axis(name="noise", group="sensors", levels=(0.002, 0.005, 0.01, 0.02, 0.05),
+         changes=lambda levels: {"sensor_noise": levels * _POSITIONS}, words="noise of positions, σ (m, rad)"),
+    Axis(name="encoders", group="sensors", levels=tuple(1 / counts for counts in (1024, 256, 128, 64, 32)),
+         changes=lambda levels: {"resolution": encoders(1 / levels)}, words="counts a turn"),
+    Axis(name="delay", group="sensors", levels=(1.0, 2.0, 3.0),
+         changes=lambda levels: _FINE | {"sensor_delay": round(float(levels))}, words="delay (samples of 20 ms)"),
+    Axis(name="lag", group="sensors", levels=(0.4, 0.6, 0.7, 0.8),
+         changes=lambda levels: _FINE | {"actuator_lag": float(lag(1 - levels))}, words="force missing (1 − k)"),
 )  # fmt: skip
 """Noise of the measured positions; rounding by encoders; and, with encoders of 2048 counts, delay and a slow force."""
 

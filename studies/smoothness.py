@@ -77,17 +77,12 @@ class Device(NamedTuple):
 
 _WRAPPED = ("LQR", "sign of stiff LQR", "Q tuned")
 DEVICES = {
-    "rate limit": Device(
-        "rate limit (N/s)", (100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0), _WRAPPED,
-        lambda controller, rate: RateLimit(RIG, controller, rate),
-    ),
-    "low-pass": Device(
-        "low-pass corner (Hz)", (2.0, 4.0, 8.0, 16.0, 32.0), _WRAPPED,
-        lambda controller, corner: LowPass(RIG, controller, frequency=corner),
-    ),
-    "Δu cost": Device(
-        "weight of (Δu)² in NMPC (N⁻²)", (0.1, 1.0, 10.0), ("NMPC",), lambda _, weight: NMPC(RIG, rate_weight=weight)
-    ),
+    "rate limit": Device("rate limit (N/s)", (100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0), _WRAPPED,
+                         lambda controller, rate: RateLimit(RIG, controller, rate)),
+    "low-pass": Device("low-pass corner (Hz)", (2.0, 4.0, 8.0, 16.0, 32.0), _WRAPPED,
+                       lambda controller, corner: LowPass(RIG, controller, frequency=corner)),
+    "Δu cost": Device("weight of (Δu)² in NMPC (N⁻²)", (0.1, 1.0, 10.0), ("NMPC",),
+                      lambda _, weight: NMPC(RIG, rate_weight=weight)),
 }  # fmt: skip
 """Devices that are applied to a controller; the others are learned with it."""
 
@@ -393,16 +388,16 @@ def _devices(table: Table, looks: Mapping[str, Style]) -> Figure:
 def _device(saved: Axes, varied: Axes, table: Table, looks: Mapping[str, Style], device: str) -> None:
     settings = DEVICES[device].settings
     none = settings[0] / 4 if device == "Δu cost" else settings[-1] * 2.2  # where no device at all is drawn
-    for name, condition in itertools.product(dict.fromkeys(table.where(device=device)["contender"]), CONDITIONS):
+    names = dict.fromkeys(table.where(device=device)["contender"])
+    for name, condition, which in itertools.product(names, CONDITIONS, (device, "none")):
         hollow = condition == "noise"
         style = (*looks[name][:2], ":") if hollow else looks[name]
-        same = {"metric": "variation", "contender": name, "condition": condition, "task": DEVICE_TASK}
-        for which in (device, "none"):
-            lines = sorted(table.lines(device=which, **same), key=lambda line: line.setting)
-            places = [none if which == "none" else line.setting for line in lines]
-            label = None if hollow or which == "none" else name
-            for axis, measure in ((saved, success), (varied, variation)):
-                intervals(axis, places, map(measure, lines), style, hollow=hollow, label=label, lw=1.0)
+        of = {"contender": name, "condition": condition, "task": DEVICE_TASK, "device": which}
+        lines = sorted(table.lines(metric="variation", **of), key=lambda line: line.setting)
+        places = [none if which == "none" else line.setting for line in lines]
+        label = None if hollow or which == "none" else name
+        for axis, measure in ((saved, success), (varied, variation)):
+            intervals(axis, places, map(measure, lines), style, hollow=hollow, label=label, lw=1.0)
     for axis in (saved, varied):
         axis.set(xscale="log", xlabel=DEVICES[device].parameter)
         axis.set_xticks([*settings, none], [*(f"{setting:g}" for setting in settings), "none"])
