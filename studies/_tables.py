@@ -7,6 +7,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import accumulate
 from numbers import Integral
 from string import Template
 from typing import Any
@@ -113,18 +114,16 @@ def sheet(
     """
     records: Any = lines.to_dict("records") if isinstance(lines, pd.DataFrame) else list(lines)
     headings = list(dict.fromkeys(heading for record in records for heading in record))
-    forms = dict.fromkeys(headings, form) if isinstance(form, str) else dict(form)
-
-    def written(heading: str, value: Value) -> Cell:
-        chosen = forms.get(heading) or (".1%" if heading.endswith("%") else "")
-        return cell(value, chosen, tried=tried)
+    chosen = dict.fromkeys(headings, form) if isinstance(form, str) else form
+    forms = {each: chosen.get(each) or (".1%" if each.endswith("%") else "") for each in headings}
 
     def words(heading: str) -> bool:
         values = [record[heading] for record in records if record.get(heading) is not None]
         return all(isinstance(value, str) or (isinstance(value, Cell) and value.key is None) for value in values)
 
     columns = [Column(heading, words=words(heading), brief=brief is None or heading in brief) for heading in headings]
-    return Sheet(title, columns, [[written(each, record.get(each)) for each in headings] for record in records], note)
+    body = [[cell(record.get(each), forms[each], tried=tried) for each in headings] for record in records]
+    return Sheet(title, columns, body, note)
 
 
 # ------------------------------------------------------------------------------------------------------------ Markdown
@@ -173,27 +172,21 @@ def terminal(table: Sheet, width: int = 80) -> Group:
 
     What is left out is said below it.
     """
-    every = range(len(table.columns))
-    if len(every) > _FEW or sum(_letters(table, i) + _AIR for i in every) > width + _AIR:
-        every = [i for i in every if table.columns[i].brief]
-    chosen: list[int] = []
-    room = width + _AIR
-    for i in every[:_FEW]:
-        room -= _letters(table, i) + _AIR
-        if chosen and room < 0:
-            break
-        chosen.append(i)
-    left_out = len(table.columns) - len(chosen)
+    letters = [_letters(table, i) for i in range(len(table.columns))]
+    every, room = list(range(len(letters))), width + _AIR
+    if len(every) > _FEW or sum(letters) + _AIR * len(every) > room:
+        every = [i for i in every if table.columns[i].brief][:_FEW]
+    ends = accumulate(letters[i] + _AIR for i in every)
+    chosen = [i for i, end in zip(every, ends, strict=True) if i == every[0] or end <= room]
+    left_out = len(letters) - len(chosen)
     said = f"{left_out} more column{'s' * (left_out > 1)} in tables.md" if left_out else ""
     drawn = Table(box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True, pad_edge=False, show_edge=False)
     for i in chosen:
-        column, letters = table.columns[i], _letters(table, i)
-        justify = "left" if column.words else "right"
-        drawn.add_column(escape(column.heading), justify=justify, min_width=letters, max_width=letters, overflow="fold")
-    for line in table.lines:
-        drawn.add_row(
-            *(Text.assemble(line[i].text, (f"\n{line[i].under}" * bool(line[i].under), "dim")) for i in chosen)
-        )
+        whole: Any = {"min_width": letters[i], "max_width": letters[i], "overflow": "fold"}
+        column = table.columns[i]
+        drawn.add_column(escape(column.heading), justify="left" if column.words else "right", **whole)
+    for cells in ([line[i] for i in chosen] for line in table.lines):
+        drawn.add_row(*(Text.assemble(each.text, (f"\n{each.under}" * bool(each.under), "dim")) for each in cells))
     below = "; ".join(filter(None, (table.note, said)))
     return Group(Text(f"\n{table.title}", style="bold"), drawn, *([Text(below, style="italic")] if below else []))
 
