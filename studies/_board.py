@@ -26,22 +26,18 @@ UP = {start: f"up from {start}, s" for start in ("hanging", "side", "anywhere")}
 """What is measured while swinging up, by start: when both links were up for good, NaN where they never were."""
 UNSCORED = (0.05,)
 SHOWN = (0.1, 0.2, 0.3, 0.4)
-REFERENCE = "best known"
-"""What any force can save, from ``studies.recoverable``."""
+REFERENCE = "best known"  # what any force can save, from studies.recoverable
 
 
 class Place(NamedTuple):
     """Where a contender stands at a task."""
 
     rank: Estimate
-    first: float
-    """Share of the resamples in which none does better."""
-    next_better: float
-    """Share of them in which the next one does better; NaN of the last."""
+    first: float  # share of the resamples in which none does better
+    next_better: float  # share of them in which the next one does better; NaN of the last
 
 
-Places = dict[str, Place | None]
-"""Those that do a task, the best first; None, at the end, of those that never succeed."""
+Places = dict[str, Place | None]  # those that do a task, the best first; None, at the end, of those that never succeed
 
 
 def mean_known(values: Array) -> float:
@@ -82,8 +78,6 @@ def ranked(table: Table, task: TaskName) -> Places:
         ordered[list(criteria)[i]] = Place(ranks.ranks[i], float(ranks.first[i]), better)
     return ordered | dict.fromkeys(name for name in names if name not in ordered)
 
-
-# -------------------------------------------------------------------------------------------------------------- tables
 
 _RANK = "{}: one more than how many do better on the starts that both had; 95 % interval.  None without success."
 _STANDING = {
@@ -155,9 +149,7 @@ _BEFORE = (
     "A dash: it does not do this, or it was not measured. Press a heading to sort.",
 )
 _DOING = {"balance": "balancing", "swing-up": "swinging up"}
-
-Line = dict[str, Value]
-"""Values by heading."""
+Line = dict[str, Value]  # values by heading
 
 
 def _percent(of: Estimate) -> Cell:

@@ -23,12 +23,8 @@ from dpend.params import Array
 from ._estimates import Estimate, Tried
 from ._labels import place_labels
 
-Style = tuple[str, str, Any]
-"""Colour, marker and line style, as those of :class:`studies._field.Contender`."""
-
-Curve = Mapping[float, Estimate]
-"""Estimates by level, in order."""
-
+Style = tuple[str, str, Any]  # colour, marker and line style, as those of studies._field.Contender
+Curve = Mapping[float, Estimate]  # estimates by level, in order
 BEST: Style = ("#666666", "|", "-")
 """What any controller can do at best, as far as is known."""
 
@@ -37,8 +33,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000", "#5
 
 _LINES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)))
 _MARKERS = ("o", "s", "D", "^", "v", "P", "X", "p")
-WIDTH = 6.8
-"""Width of a figure, inches: that of a page's text."""
+WIDTH = 6.8  # width of a figure, inches: that of a page's text
 
 
 def look() -> AbstractContextManager[None]:
@@ -63,9 +58,6 @@ def mosaic(layout: Any, *, height: float, width: float = WIDTH, **how: Any) -> t
     """Return a figure and its axes by name, laid out as ``Figure.subplot_mosaic`` has it."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplot_mosaic(layout, **how)
-
-
-# ------------------------------------------------------------------------------------------------------- axes, legends
 
 
 def share_axis(axis: Axes, label: str | None = None, along: Literal["x", "y"] = "y") -> None:
@@ -103,31 +95,13 @@ def note(axis: Axes, words: str) -> None:
     axis.text(0.008, 0.965, words, transform=axis.transAxes, fontsize=7, va="top", style="italic", bbox=box)
 
 
-# -------------------------------------------------------------------------------------------------- values, intervals
-
-
 def intervals(
     axis: Axes, places: npt.ArrayLike, estimates: Iterable[Estimate], style: Style, *,
     along: Literal["x", "y"] = "y", hollow: bool = False, joined: bool = True, **how: Any,
 ) -> None:  # fmt: skip
-    """Draw estimates with their intervals, where they have one.
+    """Draw estimates with their intervals, where they have one, at ``places`` ``(n,)`` on the other axis.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture.
-    places : array_like (n,)
-        Where they stand on the other axis.
-    estimates : n Estimate
-        What is drawn.
-    style : Style
-        Colour, marker, line.
-    along : {"y", "x"}
-        The axis on which the estimates are measured.
-    hollow, joined : bool
-        Whether markers are open, and whether a line joins them.
-    **how
-        As of ``Axes.errorbar``, such as ``label``.
+    They are measured ``along`` x or y; ``how`` is as of ``Axes.errorbar``, such as ``label``.
     """
     colour, marker, line = style
     value, low, high = np.array(list(estimates), dtype=np.float64).reshape(-1, 3).T
@@ -183,22 +157,8 @@ def forest(
 ) -> None:  # fmt: skip
     """Draw estimates with their intervals, one a line, the first on top; a second call with the same names adds to it.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture.
-    estimates : mapping of str to Estimate
-        By what stands beside the line; NaN leaves its line empty.
-    styles : mapping of Style, or Style
-        By name, :data:`BEST` for those that have none; or one for all.
-    hollow : bool
-        Whether markers are open.
-    aside : float
-        By how much of a line they are moved down.
-    tried : (float, float), optional
-        The least and the greatest level tried: the axis ends a little beyond, and what lies there is an arrow.
-    label : str, optional
-        What stands in the legend.
+    NaN leaves its line empty; a name without a style has :data:`BEST`; ``aside`` moves down by a share of a line.  The
+    axis ends a little beyond the least and the greatest level ``tried``, and what lies there is an arrow.
     """
     left, right = -np.inf, np.inf
     if tried is not None:
@@ -248,9 +208,6 @@ def scatter(axis: Axes, points: Mapping[str, tuple[Estimate, Estimate]], styles:
     if points:
         x, y = np.array([(x.value, y.value) for x, y in points.values()]).T
         place_labels(axis, x, y, list(points), avoid=np.array(boxes))
-
-
-# --------------------------------------------------------------------------------------------------------- maps, traces
 
 
 def heat_map(

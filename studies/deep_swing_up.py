@@ -56,10 +56,8 @@ _VARIATIONS = {
 class Options(_runner.Options):
     """Options of the command line."""
 
-    runs: Path = RUNS
-    """Folder of the trainings."""
-    starts: int = 1000
-    """Fresh starts on which each policy is evaluated."""
+    runs: Path = RUNS  # Folder of the trainings.
+    starts: int = 1000  # Fresh starts on which each policy is evaluated.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -73,8 +71,7 @@ class Job:
     """One training, or what trainings are compared with."""
 
     learner: str
-    training: int
-    """Its seed."""
+    training: int  # its seed
     starts: int
     seed: int
     kept: Kept | None = None
@@ -85,27 +82,18 @@ class Row:
     """What a policy does, and what its training cost."""
 
     successes: int = 0
-    variation: float = math.nan
-    """Over the last four seconds of the runs that succeed, in force limits per second."""
-    balanced: int = 0
-    """How many of as many starts at λ = 0.1 it balances."""
+    variation: float = math.nan  # over the last four seconds of the runs that succeed, in force limits per second
+    balanced: int = 0  # how many of as many starts at λ = 0.1 it balances
     balanced_noisy: int = 0
-    balancing: float = math.nan
-    """The variation from λ = 0.1; NaN where no run succeeds."""
+    balancing: float = math.nan  # the variation from λ = 0.1; NaN where no run succeeds
     balancing_noisy: float = math.nan
-    standing_noisy: float = math.nan
-    """That of the last four seconds."""
-    steps: int = 0
-    """Environment steps of the whole training."""
+    standing_noisy: float = math.nan  # that of the last four seconds
+    steps: int = 0  # environment steps of the whole training
     steps_to_best: int = 0
-    steps_to_half: int = -1
-    """Steps until an evaluation first saw half of its starts succeed; -1 where none did."""
-    steps_to_most: int = -1
-    """The same for 95 %."""
-    step_seconds: float = 0.0
-    """Simulated time in a step, s."""
-    test_seconds: float = 0.0
-    """Simulated time of the evaluations that chose the policy, at most, s."""
+    steps_to_half: int = -1  # steps until an evaluation first saw half of its starts succeed; -1 where none did
+    steps_to_most: int = -1  # the same for 95 %
+    step_seconds: float = 0.0  # simulated time in a step, s
+    test_seconds: float = 0.0  # simulated time of the evaluations that chose the policy, at most, s
     cpu_seconds: float = 0.0
     wall_seconds: float = 0.0
 
@@ -188,12 +176,9 @@ def least_variation(rig: dpend.Rig, x0: Array) -> float:
     limits += [float(rig.force_limit)] * samples
     found = linprog(
         np.concatenate([np.zeros(7 * samples), np.ones(samples - 1)]),
-        A_ub=sparse.vstack(sides),
-        b_ub=np.zeros(2 * (samples - 1)),
-        A_eq=dynamics,
-        b_eq=from_start,
+        A_ub=sparse.vstack(sides), b_ub=np.zeros(2 * (samples - 1)), A_eq=dynamics, b_eq=from_start,
         bounds=[*((-limit, limit) for limit in limits), *[(0.0, math.inf)] * (samples - 1)],
-    )
+    )  # fmt: skip
     return found.fun / float(rig.force_limit) / (samples * rig.sample_time) if found.status == 0 else math.inf
 
 
@@ -242,17 +227,13 @@ def _line(table: Table, learner: str) -> dict[str, Value]:
     shares, to_most = own["successes"] / own["starts"], own["steps_to_most"].to_numpy()
     there = to_most[to_most > 0]
     return {
-        "learner": learner,
-        "trainings": len(own),
-        "success, %": mean_share(shares, own["starts"]),
+        "learner": learner, "trainings": len(own), "success, %": mean_share(shares, own["starts"]),
         "each, %": " ".join(f"{100 * each:.1f}" for each in shares),
         "λ = 0.1, %": middle["balanced"] / middle["starts"],
-        "λ = 0.1, noise, %": middle["balanced_noisy"] / middle["starts"],
-        **variations,
+        "λ = 0.1, noise, %": middle["balanced_noisy"] / middle["starts"], **variations,
         "to 95 %": f"{np.median(there):,.0f} ({len(there)})" if len(there) else None,
-        "steps": round(middle["steps"]) or None,
-        "CPU s": round(middle["cpu_seconds"]) or None,
-    }
+        "steps": round(middle["steps"]) or None, "CPU s": round(middle["cpu_seconds"]) or None,
+    }  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -73,10 +73,8 @@ SETTINGS = {
 class Options(_runner.OnRig):
     """Options of the command line."""
 
-    runs: int = 200
-    """Starts of each law at 20 ms."""
-    fine_runs: int = 20
-    """Starts of each law at 1 ms."""
+    runs: int = 200  # Starts of each law at 20 ms.
+    fine_runs: int = 20  # Starts of each law at 1 ms.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -90,8 +88,7 @@ class Job:
     plant: Plant
     setting: str
     runs: int
-    duration: float
-    """s."""
+    duration: float  # s
     seed: int
 
 
@@ -99,17 +96,12 @@ class Job:
 class Row:
     """One law under one set of circumstances."""
 
-    arrived: int
-    """Up for the last second."""
+    arrived: int  # up for the last second
     off_track: int
-    near: int
-    """Within 10 % of upright's energy at some time, the cart on its track."""
-    energy: float
-    """Median over the runs of the mean energy of the last 5 s, as a share of upright's."""
-    rise: float
-    """Greatest rise of V in 20 ms in any run, as a share of V at the start."""
-    time_up: float
-    """Median time until up for good of those that arrived, s; NaN where none did."""
+    near: int  # within 10 % of upright's energy at some time, the cart on its track
+    energy: float  # median over the runs of the mean energy of the last 5 s, as a share of upright's
+    rise: float  # greatest rise of V in 20 ms in any run, as a share of V at the start
+    time_up: float  # median time until up for good of those that arrived, s; NaN where none did
 
 
 def jobs(options: Options) -> list[Job]:

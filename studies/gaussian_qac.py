@@ -40,12 +40,9 @@ LAMS = (0.1, 0.2, 0.3, 0.4)
 STEPS = tuple(float(f"{step:.3g}") for step in np.geomspace(1e-8, 1e-1, 8))
 VARIANCES = tuple(float(f"{variance:.3g}") for variance in np.geomspace(1e-3, 10, 5))
 VARIANTS: Mapping[str, Mapping[str, Any]] = {
-    "zero weights": {},
-    "weights N(0, 0.1²)": {"init_std": 0.1},
-    "weights N(0, 10²)": {"init_std": 10.0},
-    "signs": {"indicators": "signs"},
-    "cells of signs": {"indicators": "cells"},
-}
+    "zero weights": {}, "weights N(0, 0.1²)": {"init_std": 0.1}, "weights N(0, 10²)": {"init_std": 10.0},
+    "signs": {"indicators": "signs"}, "cells of signs": {"indicators": "cells"},
+}  # fmt: skip
 LONG_STEPS = STEPS[:4]
 LONG_VARIANCES = (1.0, 10.0)
 TUNED, LONG, REGULATOR = "tuned", "long", "LQR"
@@ -59,18 +56,12 @@ _EVERY = 4
 class Options(_runner.Options):
     """Options of the command line."""
 
-    short: int = 2
-    """Seeds of each setting of the ranges."""
-    short_episodes: int = 2000
-    """Budget of each of these trainings."""
-    long_episodes: int = 200_000
-    """Budget of each long run."""
-    trainings: int = 30
-    """Seeds of the tuned learner."""
-    ablated: int = 12
-    """Seeds of each ablation, the first of those."""
-    episodes: int = 300
-    """Starts on which each learned policy is evaluated at each λ."""
+    short: int = 2  # Seeds of each setting of the ranges.
+    short_episodes: int = 2000  # Budget of each of these trainings.
+    long_episodes: int = 200_000  # Budget of each long run.
+    trainings: int = 30  # Seeds of the tuned learner.
+    ablated: int = 12  # Seeds of each ablation, the first of those.
+    episodes: int = 300  # Starts on which each learned policy is evaluated at each λ.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,14 +72,10 @@ class Options(_runner.Options):
 class Job:
     """Trainings of one learner, or LQR in their place, and the starts on which they are evaluated."""
 
-    part: str
-    """ranges, long, tuned, or LQR."""
-    setting: str
-    """One of :data:`VARIANTS`; the tuned learner, or which ablation of it."""
-    trainings: tuple[int, ...]
-    """Numbers of the trainings, each with its part of the starts."""
-    variance: float = 0.0
-    """Of the report's learner, as what follows."""
+    part: str  # ranges, long, tuned, or LQR
+    setting: str  # one of VARIANTS; the tuned learner, or which ablation of it
+    trainings: tuple[int, ...]  # numbers of the trainings, each with its part of the starts
+    variance: float = 0.0  # of the report's learner, as what follows
     alphas: tuple[float, ...] = (0.0,)
     betas: tuple[float, ...] = (0.0,)
     max_episodes: int = 0
@@ -185,8 +172,6 @@ def _while_it_learns(training: Training, seed: int) -> dict[str, Array]:
     return {"share": np.array(share), "at_episode": training.details["updated"][::_EVERY]}
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
 STYLES = {LQR_NAME: ("#0072B2", "o", "-"), TUNED: ("#009E73", "D", "-."), "13 cost and σ kept": ("#E69F00", "s", "--")}
 _GREY = ("#555555", "s", "-")
 
@@ -214,11 +199,9 @@ def report(table: Table) -> Report:
         note = f"Tuned: 99 of 100 starts at λ = 0.1 first saved after {middle:.0f} episodes ({low:.0f} to {high:.0f})"
     title = "Saved by the mean policy, %, and 95 % interval over trainings"
     forms = {"longest mean of 100 episodes, samples": ".0f", "best mean policy, λ = 0.1, %": ".0%"}
-    tables = [
-        sheet("Algorithm 2 to the letter", filter(None, published), forms),
-        sheet(title, evaluated, {"median steps": ",.0f"}, note=note),
-    ]
-    return Report(figures=_overview(table, saved, worth), tables=tables)
+    letter = sheet("Algorithm 2 to the letter", filter(None, published), forms)
+    tuned = sheet(title, evaluated, {"median steps": ",.0f"}, note=note)
+    return Report(figures=_overview(table, saved, worth), tables=[letter, tuned])
 
 
 def _published(name: str, rows: list[Any]) -> dict[str, Value]:

@@ -43,42 +43,23 @@ TABLE2 = {0.1: 0.94, 0.2: 0.92, 0.3: 0.78, 0.4: 0.49}
 PLAIN = "Q tuned, plain rule"
 
 ONLY_HERE = (
-    Contender(
-        name="Q published",
-        make=lambda rig, task: LinearQLearning.published(rig).train(0).policy,
-        prior_knowledge=PriorKnowledge("none", "report's cost", "λ = .1 about upright"),
-        style=("#777777", "v", ":"),
-        learner=lambda rig: LinearQLearning.published(rig),
-    ),
-    Contender(
-        name=PLAIN,
-        make=lambda rig, task: LinearQLearning.tuned(rig, select=False).train(0).policy,
-        prior_knowledge=PriorKnowledge("none", "report's cost, weights tuned", "λ = .08 about upright"),
-        style=("#8C6D1F", "P", "-."),
-        learner=lambda rig: LinearQLearning.tuned(rig, select=False),
-    ),
-)
+    Contender(name="Q published", make=lambda rig, task: LinearQLearning.published(rig).train(0).policy,
+              prior_knowledge=PriorKnowledge("none", "report's cost", "λ = .1 about upright"),
+              style=("#777777", "v", ":"), learner=lambda rig: LinearQLearning.published(rig)),
+    Contender(name=PLAIN, make=lambda rig, task: LinearQLearning.tuned(rig, select=False).train(0).policy,
+              prior_knowledge=PriorKnowledge("none", "report's cost, weights tuned", "λ = .08 about upright"),
+              style=("#8C6D1F", "P", "-."), learner=lambda rig: LinearQLearning.tuned(rig, select=False)),
+)  # fmt: skip
 """Learners that no other study needs: the report's, and the tuned one without acceptance tests and restarts."""
 
-KNOWN = (
-    *(contender for contender in CONTENDERS if not contender.policy),
-    *ONLY_HERE,
-    *(contender for contender in CONTENDERS if contender.policy),
-)
+KNOWN = (*(contender for contender in CONTENDERS if not contender.policy), *ONLY_HERE,
+         *(contender for contender in CONTENDERS if contender.policy))  # fmt: skip
 """Those that can take part, what is designed first."""
 
-DESIGNED, SHIPPED = "-", "shipped"
-"""How a training ended where there was none: a design, or a policy that was trained elsewhere, once."""
-
-BEST_KNOWN = "best known"
-"""What any force can save, from ``studies.recoverable``."""
-
-TRACED = ("LQR", "Q published", "Q tuned", "LSPI", "PPO balance")
-"""Those whose force is drawn: what is smooth beside what is bang-bang."""
-
-Falls = tuple[Estimate, Estimate]
-"""λ50 and λ90, at which a half and nine tenths of the starts are saved."""
-
+DESIGNED, SHIPPED = "-", "shipped"  # how a "training" ended: a design, or a policy trained elsewhere, once
+BEST_KNOWN = "best known"  # what any force can save, from studies.recoverable
+TRACED = ("LQR", "Q published", "Q tuned", "LSPI", "PPO balance")  # whose force is drawn: smooth beside bang-bang
+Falls = tuple[Estimate, Estimate]  # λ50 and λ90, at which a half and nine tenths of the starts are saved
 _TRACE_LAM, _TRACE_SECONDS = 0.1, 1.0
 _ENOUGH = 10_000  # starts of what is shipped: a network takes ten times as long as a gain
 
@@ -89,20 +70,14 @@ class Options(_field.Options, _runner.OnRig):
 
     known: ClassVar[tuple[Contender, ...]] = KNOWN
 
-    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-    """Greatest starting angles, rad."""
-    trainings: int = 10
-    """Trainings of each learner that learns in seconds."""
-    episodes: int = 100
-    """Starts on which each trained controller is evaluated at each λ."""
-    part_of: int = 250
-    """Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth."""
-    basins: int = 41
-    """Points on each side of the maps of what is saved from rest; none for no maps."""
+    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
+    trainings: int = 10  # Trainings of each learner that learns in seconds.
+    episodes: int = 100  # Starts on which each trained controller is evaluated at each λ.
+    part_of: int = 250  # Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth.
+    basins: int = 41  # Points on each side of the maps of what is saved from rest; none for no maps.
     plain: bool = False
     """Add the tuned learner with the plain rule of convergence: 20 successes in a row, no tests, no restarts."""
-    all: bool = False
-    """Add what takes minutes: NMPC, and coarse maps of those that take long."""
+    all: bool = False  # Add what takes minutes: NMPC, and coarse maps of those that take long.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -123,16 +98,12 @@ class Options(_field.Options, _runner.OnRig):
 
         On another rig than the default one policies that come as they were trained on that do not.
         """
-        asked = (*self.only, *([PLAIN] if self.plain else []))
+        asked = {*self.only, *([PLAIN] if self.plain else [])}
         return [
-            contender
-            for contender in super().contenders(task)
-            if (contender.learner or not contender.policy or self.plant.name == DEFAULT_RIG)
-            and (
-                contender.name in asked
-                or self.all
-                or (contender.cost is not Cost.EXPENSIVE and contender.name != PLAIN)
-            )
+            each
+            for each in super().contenders(task)
+            if (each.learner or not each.policy or self.plant.name == DEFAULT_RIG)
+            and (self.all or each.name in asked or (each.cost is not Cost.EXPENSIVE and each.name != PLAIN))
         ]
 
     def starts(self, contender: Contender) -> int:
@@ -157,11 +128,9 @@ class Job:
     contender: str
     training: int
     lams: tuple[float, ...]
-    first: int
-    """The first of its starts at each λ."""
+    first: int  # the first of its starts at each λ
     starts: int
-    side: int
-    """Points on a side of its map."""
+    side: int  # points on a side of its map
     seed: int
     own: Own | None
 
@@ -218,9 +187,6 @@ def run(job: Job) -> Result:
     return Result(rows, arrays)
 
 
-# ---------------------------------------------------------------------------------------------- what the table comes to
-
-
 def saved(table: Table, contender: str, lam: float, criterion: str = "successes") -> Estimate:
     """Return the share of starts that a contender saves at one λ: over its trainings, or over the starts of one.
 
@@ -274,9 +240,6 @@ def _label(table: Table, contender: str) -> str:
     if outcomes == {SHIPPED}:
         return f"{contender} †"
     return contender + ("" if outcomes <= {DESIGNED, "converged"} else f" ({_converged(table, contender)} converged)")
-
-
-# --------------------------------------------------------------------------------------------------------------- report
 
 
 def report(table: Table) -> Report:
@@ -370,10 +333,8 @@ def _learning_tables(table: Table, success: Mapping[str, Curve]) -> tuple[Sheet,
         done = where(own, outcome="converged")
         if 0 < len(done) < len(own):
             converged.append({"learner": name} | {f"λ = {lam:g}": _mean(where(done, lam=lam)) for lam in success[name]})
-    return (
-        sheet("What learning cost, medians over trainings", costs, ",.0f"),
-        sheet("Starts saved by the trainings that converged, %", converged, ".1%"),
-    )
+    cost = sheet("What learning cost, medians over trainings", costs, ",.0f")
+    return cost, sheet("Starts saved by the trainings that converged, %", converged, ".1%")
 
 
 if __name__ == "__main__":

@@ -45,28 +45,21 @@ from ._runner import Report, Result, Table, kept_table, read_rows, where
 from ._step_times import undisturbed
 
 MINUTES = 20
-
-GOOD = 0.95
-"""A training failed if its policy succeeds from less than this share of fresh starts."""
-
+GOOD = 0.95  # a training failed if its policy succeeds from less than this share of fresh starts
 _NOISE, _NOISY = 0.002, 200
 _STREAM = 4127  # sets these starts apart from those of every training, tuning and other study
 _CHUNK = 25  # runs of one that takes long, in a job
 _TURNS = 3  # runs in which steps are timed, each in turn with one of LQR's
 _COMPILING = 5.0  # s of experience
-
-Values = Mapping[str, npt.ArrayLike]
-"""Numbers by quantity, one a run or training."""
+Values = Mapping[str, npt.ArrayLike]  # numbers by quantity, one a run or training
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options(_field.Options):
     """Options of the command line."""
 
-    starts: int = 1000
-    """Starts at each λ and of each kind of swing-up; of those that take long a share."""
-    trainings: int = 10
-    """Trainings of each learner that learns in seconds."""
+    starts: int = 1000  # Starts at each λ and of each kind of swing-up; of those that take long a share.
+    trainings: int = 10  # Trainings of each learner that learns in seconds.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -98,14 +91,11 @@ class Job:
     work: str
     contender: str
     task: TaskName
-    first: int = 0
-    """The first run, or the number of the training."""
+    first: int = 0  # the first run, or the number of the training
     runs: int = 0
-    drawn: int = 0
-    """How many starts are drawn, of which the runs are a part."""
+    drawn: int = 0  # how many starts are drawn, of which the runs are a part
     lams: tuple[float, ...] = ()
-    file: str = ""
-    """Hash of the file of deep trainings."""
+    file: str = ""  # hash of the file of deep trainings
     seed: int
     own: Own | None = None
 
@@ -132,9 +122,6 @@ def jobs(options: Options) -> list[Job]:
         if contender.trainings and (file := _file(contender)).exists():
             found += [job(work="deep", task=read_recipe(file).task, file=file_hash(file))]
     return found
-
-
-# ------------------------------------------------------------------------------------------------------------ the work
 
 
 def run(job: Job) -> Result:
@@ -249,11 +236,9 @@ def _deep(job: Job, contender: Contender) -> Values:
 
 def _costs(*trainings: rl.Training) -> dict[str, npt.ArrayLike]:
     costs = [training.cost for training in trainings]
-    return {
-        "training, s": [cost.cpu_seconds for cost in costs],
-        "learning, s": [cost.steps * cost.sample_time for cost in costs],
-        "tests, s": [cost.test_steps * cost.sample_time for cost in costs],
-    }
+    return {"training, s": [cost.cpu_seconds for cost in costs],
+            "learning, s": [cost.steps * cost.sample_time for cost in costs],
+            "tests, s": [cost.test_steps * cost.sample_time for cost in costs]}  # fmt: skip
 
 
 def _file(contender: Contender) -> Path:

@@ -42,10 +42,8 @@ from ._trainings import RUNS, Kept, kept
 MINUTES = 8
 
 LAMS = (0.1, 0.3)
-MOST = 0.95
-"""The share of starts that counts as learned."""
-SMALL_STEPS = "QAC published, α = β = 1e-6"
-"""The learner with which Algorithm 2 lasts about as long as in the report's figure 4."""
+MOST = 0.95  # the share of starts that counts as learned
+SMALL_STEPS = "QAC published, α = β = 1e-6"  # with it Algorithm 2 lasts about as long as in the report's figure 4
 
 _ALGORITHMS: Mapping[str, Style] = {
     "ppo": ("#0072B2", "o", "-"), "ddpg": ("#D55E00", "s", "--"), "td3": ("#009E73", "D", "-."),
@@ -73,21 +71,14 @@ def _swing_up(rig: dpend.Rig, alpha: float, like: Callable[[dpend.Rig], LinearQL
 ONLY_HERE = (
     _only_here("Q published", LinearQLearning.published, style=("#777777", "v", ":")),
     _only_here("QAC published, α = β = 1e-4", GaussianQAC.published, style=("#000000", "v", ":")),
-    _only_here(
-        SMALL_STEPS, lambda rig: GaussianQAC.published(rig, alpha=1e-6, beta=1e-6, max_episodes=60_000),
-        style=("#E69F00", "v", "-"),
-    ),
-    _only_here(
-        "Q swing-up, α = 1e-4 as for balancing", lambda rig: _swing_up(rig, 1e-4, LinearQLearning.published),
-        style=("#777777", "v", ":"),
-    ),
-    _only_here(
-        "Q swing-up, α = 1e-6", lambda rig: _swing_up(rig, 1e-6, LinearQLearning.published), style=("#0072B2", "v", "-")
-    ),
-    _only_here(
-        "Q swing-up, features scaled as tuned", lambda rig: _swing_up(rig, 1e-4, LinearQLearning.tuned),
-        style=("#D55E00", "v", "--"),
-    ),
+    _only_here(SMALL_STEPS, lambda rig: GaussianQAC.published(rig, alpha=1e-6, beta=1e-6, max_episodes=60_000),
+               style=("#E69F00", "v", "-")),
+    _only_here("Q swing-up, α = 1e-4 as for balancing", lambda rig: _swing_up(rig, 1e-4, LinearQLearning.published),
+               style=("#777777", "v", ":")),
+    _only_here("Q swing-up, α = 1e-6", lambda rig: _swing_up(rig, 1e-6, LinearQLearning.published),
+               style=("#0072B2", "v", "-")),
+    _only_here("Q swing-up, features scaled as tuned", lambda rig: _swing_up(rig, 1e-4, LinearQLearning.tuned),
+               style=("#D55E00", "v", "--")),
 )  # fmt: skip
 """The report's learners as published, and linear Q-learning of the swing-up, from the report's start."""
 
@@ -102,10 +93,8 @@ def learners() -> dict[str, Contender]:
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 10
-    """Seeds of each learner that is trained here."""
-    starts: int = 100
-    """Fresh starts of an evaluation at each λ."""
+    trainings: int = 10  # Seeds of each learner that is trained here.
+    starts: int = 100  # Fresh starts of an evaluation at each λ.
     deep: Path = RUNS
     """Folder of the deep trainings, such as ppo-swing-up.npz, or ppo-swing-up with a folder for each seed."""
 
@@ -120,13 +109,10 @@ class Job:
     """One training, to be made here, or kept."""
 
     learner: str
-    training: int
-    """Its number, or the seed of a deep one."""
+    training: int  # its number, or the seed of a deep one
     starts: int = 0
-    points: int = 0
-    """At most so many policies on the way."""
-    seconds: float = math.inf
-    """Greatest experience, s; infinite for the learner's own budget."""
+    points: int = 0  # at most so many policies on the way
+    seconds: float = math.inf  # greatest experience, s; infinite for the learner's own budget
     seed: int = 0
     kept: Kept | None = None
 
@@ -171,12 +157,10 @@ def _train(job: Job) -> Result:
     experience = np.array([way.experience for way in ways])
     cpu = training.cost.cpu_seconds * experience / max(training.experience, RIG.sample_time)
     whole = {
-        "outcome": training.outcome.name.lower().replace("_", " "),
-        "episodes": training.cost.episodes,
+        "outcome": training.outcome.name.lower().replace("_", " "), "episodes": training.cost.episodes,
         "successes": int(curve["success"].sum()) if "success" in curve else -1,
-        "experience": training.experience,
-        "cpu": training.cost.cpu_seconds,
-    }
+        "experience": training.experience, "cpu": training.cost.cpu_seconds,
+    }  # fmt: skip
     lengths = curve.get("length", np.zeros(0)).astype(np.float64)
     values = lengths if balancing else curve.get("reward", np.array(np.nan)) / lengths
     arrays = {
@@ -210,14 +194,9 @@ def _read(kept: Kept) -> Result:
 def _costs(lam: float, experience: Array, cpu: Array, shares: Array, one: float) -> dict[str, float]:
     first, most = reached(shares, one), reached(shares, MOST)
     return {
-        "lam": lam,
-        "first": _at(experience, first),
-        "first_cpu": _at(cpu, first),
-        "most": _at(experience, most),
-        "most_cpu": _at(cpu, most),
-        "kept": _at(experience, kept_from(shares)),
-        "share": float(shares[-1]),
-    }
+        "lam": lam, "first": _at(experience, first), "first_cpu": _at(cpu, first), "most": _at(experience, most),
+        "most_cpu": _at(cpu, most), "kept": _at(experience, kept_from(shares)), "share": float(shares[-1]),
+    }  # fmt: skip
 
 
 def reached(shares: Array, level: float) -> int:
@@ -249,9 +228,6 @@ def edges(episodes: int) -> npt.NDArray[np.int64]:
 def thin(values: Array) -> Array:
     """Return the means of a curve ``(n,)``, one number an episode, between :func:`edges`."""
     return np.array([values[start:end].mean() for start, end in pairwise(edges(len(values)))])
-
-
-# --------------------------------------------------------------------------------------------------------------- report
 
 
 def quartiles(curves: Sequence[Array], tails: Sequence[float]) -> Array:

@@ -53,8 +53,7 @@ FEATURES = {
 LAWS = {"K·s": False, "sign of K·s": True}
 STATES = {"angles as they are": False, "nearest turn": True}
 STARTS = ("side", "hanging")
-FORCE = 40.0
-"""Largest force, and that of the sign, N."""
+FORCE = 40.0  # largest force, and that of the sign, N
 _NEAR, _STARTS_NEAR = 0.05, 16
 _ROWS = 4096
 
@@ -63,16 +62,11 @@ _ROWS = 4096
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 2
-    """Seeds of each setting of Q-learning."""
-    training_episodes: int = 500
-    """Budget of each training."""
-    candidates: int = 49_152
-    """Random gains that each search begins with, half of them such as hold upright."""
-    generations: int = 40
-    """Generations of each evolution strategy."""
-    strategies: int = 4
-    """Evolution strategies in each search, from its best random gains."""
+    trainings: int = 2  # Seeds of each setting of Q-learning.
+    training_episodes: int = 500  # Budget of each training.
+    candidates: int = 49_152  # Random gains that each search begins with, half of them such as hold upright.
+    generations: int = 40  # Generations of each evolution strategy.
+    strategies: int = 4  # Evolution strategies in each search, from its best random gains.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -83,23 +77,19 @@ class Options(_runner.Options):
 class Job:
     """Q-learning with one choice of features and action set, or a search over the gains of one law from one start."""
 
-    part: str
-    """learning or search; what belongs to the other is empty or zero."""
+    part: str  # learning or search; what belongs to the other is empty or zero
     seed: int
     start: str = "side"
     features: str = ""
     forces: str = ""
-    trainings: int = 0
-    """Seeds of each setting of Q-learning."""
-    budget: int = 0
-    """Episodes of each training."""
+    trainings: int = 0  # seeds of each setting of Q-learning
+    budget: int = 0  # episodes of each training
     law: str = ""
     state: str = ""
     candidates: int = 0
     generations: int = 0
     strategies: int = 0
-    starts_near: int = 0
-    """Fresh starts on which the best gain is tried."""
+    starts_near: int = 0  # fresh starts on which the best gain is tried
 
 
 class LinearLaw:
@@ -176,10 +166,8 @@ class Score(NamedTuple):
 
     value: Array
     """What a search climbs: how near to upright at rest it came, how long it stayed on the track and up; success."""
-    longest: Array
-    """Longest time upright without a break, s."""
-    up: npt.NDArray[np.bool_]
-    """Whether it ended with a second upright."""
+    longest: Array  # longest time upright without a break, s
+    up: npt.NDArray[np.bool_]  # whether it ended with a second upright
 
 
 def _scores(K: Array, x0: Array, law: str, state: str, horizon: int) -> Score:

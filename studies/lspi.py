@@ -36,19 +36,16 @@ MINUTES = 6
 
 RIG = dpend.rig("gustafsson2016")
 LAMS = (0.1, 0.2, 0.3, 0.4)
-CLOSE = 0.05
-"""A gain counts as found within this error, relative to the norm of the Riccati gain."""
-
+CLOSE = 0.05  # a gain counts as found within this error, relative to the norm of the Riccati gain
 REFERENCE, TABLE1 = "Riccati gain", "Q-learning, Table 1"
 LEARNERS: dict[str, Callable[[dpend.Rig], Learner]] = {
     "LSPI, 120 s": lambda rig: LSPI(rig),
     "LSPI, 60 s": lambda rig: LSPI(rig, samples=60, iterations=50, anneal=42),
     "one-step Q, 120 s": lambda rig: QuadraticQLearning(rig),
-    "one-step Q, 12 000 s": lambda rig: QuadraticQLearning(
-        rig, samples=600_000, anneal=500_000, alpha=0.1, record_every=10_000
-    ),
+    "one-step Q, 12 000 s":
+        lambda rig: QuadraticQLearning(rig, samples=600_000, anneal=500_000, alpha=0.1, record_every=10_000),
     TABLE1: lambda rig: LinearQLearning.tuned(rig),
-}
+}  # fmt: skip
 _TRACE_SECONDS = 2.0
 
 
@@ -56,10 +53,8 @@ _TRACE_SECONDS = 2.0
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 30
-    """Seeds of each learner."""
-    episodes: int = 300
-    """Starts on which each trained controller is evaluated at each λ."""
+    trainings: int = 30  # Seeds of each learner.
+    episodes: int = 300  # Starts on which each trained controller is evaluated at each λ.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -124,16 +119,11 @@ def run(job: Job) -> Result:
     return Result(rows, arrays)
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
 STYLES = {
-    REFERENCE: ("#0072B2", "o", "-"),
-    "LSPI, 120 s": ("#009E73", "D", "-."),
-    "LSPI, 60 s": ("#E69F00", "s", "--"),
-    "one-step Q, 120 s": ("#777777", "v", ":"),
-    "one-step Q, 12 000 s": ("#CC79A7", "P", ":"),
+    REFERENCE: ("#0072B2", "o", "-"), "LSPI, 120 s": ("#009E73", "D", "-."), "LSPI, 60 s": ("#E69F00", "s", "--"),
+    "one-step Q, 120 s": ("#777777", "v", ":"), "one-step Q, 12 000 s": ("#CC79A7", "P", ":"),
     TABLE1: ("#D55E00", "^", "--"),
-}
+}  # fmt: skip
 
 
 def report(table: Table) -> Report:

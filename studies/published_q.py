@@ -37,10 +37,7 @@ WEIGHTS = {"0:1:1": (0.0, 10.0, 10.0), "1:1:1": (10.0, 10.0, 10.0), "1:10:10": (
 FAILURE_COSTS = (0.0, 100.0)
 BOOTSTRAPS = {"bootstraps": True, "ends": False}
 STREAKS = (10, 20, 50)
-
-REPORT_SHARE = 0.7
-"""Share of trainings that converged, as the report says."""
-
+REPORT_SHARE = 0.7  # share of trainings that converged, as the report says
 _LOOKS = tuple(palette(map(str, STREAKS)).values())
 
 
@@ -48,12 +45,9 @@ _LOOKS = tuple(palette(map(str, STREAKS)).values())
 class Options(_runner.OnRig):
     """Options of the command line."""
 
-    trainings: int = 20
-    """Seeds for each combination."""
-    max_episodes: int = 2000
-    """Budget of each training."""
-    episodes: int = 100
-    """Fresh starts at λ = 0.1 on which a converged controller is evaluated."""
+    trainings: int = 20  # Seeds for each combination.
+    max_episodes: int = 2000  # Budget of each training.
+    episodes: int = 100  # Fresh starts at λ = 0.1 on which a converged controller is evaluated.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -67,8 +61,7 @@ class Job:
     plant: Plant
     features: str
     criterion: str
-    weights: str
-    """Ratio of the cost's weights on position, angle 1 and angle 2."""
+    weights: str  # ratio of the cost's weights on position, angle 1 and angle 2
     trainings: int
     max_episodes: int
     episodes: int
@@ -81,16 +74,13 @@ class Row:
 
     failure_cost: float
     failed_step: str
-    streak: int
-    """Successes in a row that count as convergence."""
+    streak: int  # successes in a row that count as convergence
     training: int
     outcome: str
     training_episodes: int
     training_steps: int
-    successes: int
-    """Fresh starts saved, neither link falling; counted for converged trainings only."""
-    successes_report: int
-    """The same by the report's criterion."""
+    successes: int  # fresh starts saved, neither link falling; counted for converged trainings only
+    successes_report: int  # the same by the report's criterion
 
 
 def jobs(options: Options) -> list[Job]:

@@ -60,18 +60,13 @@ def check_spreads(lam: tuple[float, ...]) -> None:
 class Options(_field.Options):
     """Options of the command line."""
 
-    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-    """Greatest starting angles, rad."""
-    starts: int = 1000
-    """Starts at each λ."""
+    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
+    starts: int = 1000  # Starts at each λ.
     grid: int = 41
     """Points on each side of the map; none for no map.  One half is computed, the other is its mirror image."""
-    extent: float = 0.8
-    """Greatest angle on the map, rad."""
-    planned: int = 200
-    """iLQR MPC is tried on the first so many starts of ``planned_lam``, whatever else saves them."""
-    planned_lam: tuple[float, ...] = (0.3, 0.4)
-    """Each λ at which iLQR MPC is compared with what can be saved."""
+    extent: float = 0.8  # Greatest angle on the map, rad.
+    planned: int = 200  # iLQR MPC is tried on the first so many starts of planned_lam, whatever else saves them.
+    planned_lam: tuple[float, ...] = (0.3, 0.4)  # Each λ at which iLQR MPC is compared with what can be saved.
     guesses: int = 0
     """Random guesses of optimal control beside the first one: a check that the least force is no mere local minimum."""
 
@@ -86,23 +81,16 @@ class Options(_field.Options):
             raise ValueError(f"--extent must be between 0 and pi/2 rad; got {self.extent}.")
 
 
-# ------------------------------------------------------------------------------------------------------------ the study
-
-
 @dataclass(frozen=True)
 class Job:
     """Fifty starts, or what is left of them, at one λ or on the map."""
 
-    lam: float | None
-    """None on the map."""
+    lam: float | None  # none on the map
     first: int
     starts: int
-    planned: int
-    """Of these iLQR MPC is tried on the first, whatever else saves them."""
-    side: int
-    """Points on a side of the map."""
-    extent: float
-    """Greatest angle on it, rad."""
+    planned: int  # of these iLQR MPC is tried on the first, whatever else saves them
+    side: int  # points on a side of the map
+    extent: float  # greatest angle on it, rad
     guesses: int
     seed: int
     yours: tuple[Own, ...]
@@ -148,13 +136,11 @@ def run(job: Job) -> Result:
     x0 = x0[job.first : job.first + job.starts]
     yours = [_field.find("", own) for own in job.yours]
     verdicts = judge(x0, task, everywhere=job.lam is None, planned=job.planned, guesses=job.guesses, yours=yours)
-    return Result(
-        [
-            {"index": job.first + i, "th1": round(float(start[1]), 5), "th2": round(float(start[2]), 5)}
-            | rounded(verdict)._asdict()
-            for i, (start, verdict) in enumerate(zip(x0, verdicts, strict=True))
-        ]
-    )
+    return Result([
+        {"index": job.first + i, "th1": round(float(start[1]), 5), "th2": round(float(start[2]), 5)}
+        | rounded(verdict)._asdict()
+        for i, (start, verdict) in enumerate(zip(x0, verdicts, strict=True))
+    ])  # fmt: skip
 
 
 def rounded(verdict: Verdict) -> Verdict:
@@ -202,8 +188,6 @@ def _mirrored(on_map: pd.DataFrame, values: npt.ArrayLike) -> tuple[Array, Array
     return angles, whole
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
 _CURVES: dict[str, tuple[Style, str]] = {
     "recoverable by the report's criterion (link 1 alone)": (("#777777", "v", ":"), "report"),
     "recoverable": (("k", "o", "-"), "recoverable"),
@@ -232,15 +216,10 @@ def _plot_map(rows: pd.DataFrame) -> Figure:
     feedback = np.where(rows["lqr"], 3, np.where(rows["by"].isin(list(LAWS)), 2, 1))
     angles, kind = _mirrored(rows, np.where(rows["recoverable"], feedback, 0))
     force = _mirrored(rows, rows["least_force"])[1]
-    words = {
-        "not found": "#f0f0f0",
-        "only optimal control or others": "#b8b8b8",
-        "another LQR or its sign": "#8ab6dc",
-        "LQR, Q = I, R = 1": "#2d6da8",
-    }
-    axis.pcolormesh(
-        angles, angles, kind, cmap=ListedColormap(list(words.values())), vmin=-0.5, vmax=3.5, shading="nearest"
-    )
+    words = {"not found": "#f0f0f0", "only optimal control or others": "#b8b8b8", "another LQR or its sign": "#8ab6dc",
+             "LQR, Q = I, R = 1": "#2d6da8"}  # fmt: skip
+    colours = ListedColormap(list(words.values()))
+    axis.pcolormesh(angles, angles, kind, cmap=colours, vmin=-0.5, vmax=3.5, shading="nearest")
     if len(angles) > 4:
         levels = axis.contour(angles, angles, force, [10, 20, 40, 80], colors="k", linewidths=[0.6, 0.6, 1.6, 0.6])
         axis.clabel(levels, fmt="%g N", fontsize=7)
