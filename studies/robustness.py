@@ -96,7 +96,7 @@ class Job:
 
 def jobs(options: Options) -> list[Job]:
     """List the work, what takes longest first."""
-    found = []
+    found, sensors = [], [(axis.name, view) for axis in SENSORS for view in views(axis)]
     for task in TASKS:
         for contender in options.contenders(task):
             starts = options.starts_of(contender)
@@ -105,11 +105,7 @@ def jobs(options: Options) -> list[Job]:
             found += [job(part="plants", starts=_STARTS_A_PLANT, plants=options.plants_of(contender))]
             if contender.cost is Cost.CHEAP or contender.own or options.all:
                 few = -(-starts // 10) if contender.cost is Cost.CHEAP else starts
-                found += [
-                    job(part="sensors", axis=axis.name, view=view, starts=few)
-                    for axis in SENSORS
-                    for view in views(axis)
-                ]
+                found += [job(part="sensors", axis=axis, view=view, starts=few) for axis, view in sensors]
     return sorted(found, key=lambda job: find(job.contender, job.own).cost.value)
 
 
@@ -255,8 +251,7 @@ def _shares(table: Table, axes: Sequence[str], **fields: str) -> Curve:
 def _plot_axes(table: Table, task: TaskName) -> Figure:
     """Draw success against level: a row an axis, designed controllers on the left, learned ones on the right."""
     looks = _present(table, task)
-    sides = [[name for name in looks if (name in _LEARNED) == learned] for learned in (False, True)]
-    sides = [side for side in sides if side]
+    sides = [*filter(None, ([name for name in looks if (name in _LEARNED) == kind] for kind in (False, True)))]
     figure, axes = facets(len(GROUPS), len(sides), height=9.2, width=7.0, sharey=True, sharex="row")
     words = {axis.group: axis.words for axis in AXES} | {"model": "error of one parameter, eight pooled"}
     for group, row in zip(GROUPS, axes, strict=True):

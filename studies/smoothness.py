@@ -254,13 +254,10 @@ _WORDS = {"perfect": "perfect sensors", "noise": f"sensor noise {CONDITIONS['noi
 def report(table: Table) -> Report:
     """Draw success against variation, forces and their spectra, and the devices; tabulate all of it."""
     looks = styles(table.where(device="none")["contender"])
-    figures = {
-        "": _pareto(table, looks, "perfect"),
-        "_noise": _pareto(table, looks, "noise"),
-        "_forces": _forces(table, looks, "balance 0.1", 2.0),
-        "_forces_swing_up": _forces(table, looks, "swing-up", 6.0),
-        "_devices": _devices(table, looks),
-    }
+    figures = {"": _pareto(table, looks, "perfect"), "_noise": _pareto(table, looks, "noise")}
+    figures["_forces"] = _forces(table, looks, "balance 0.1", 2.0)
+    figures["_forces_swing_up"] = _forces(table, looks, "swing-up", 6.0)
+    figures["_devices"] = _devices(table, looks)
     sheets = [_metrics_table(table, looks, task, condition) for task in TASKS for condition in CONDITIONS]
     sheets += [_devices_table(table), _trainings_table(table)]
     return Report(figures=figures, tables=[each for each in sheets if each.lines])
@@ -284,15 +281,13 @@ def _pareto(table: Table, looks: Mapping[str, Style], condition: str) -> Figure:
     """Draw for each task success against total variation, the median over runs that succeed, and the front."""
     figure, axes = facets(len(TASKS), height=8.6, sharex=True)
     lines = list(table.lines(metric="variation", condition=condition, device="none"))
-    points = {
-        (line.task, line.contender): (Estimate(*(max(each, _LEAST) for each in variation(line))), success(line))
-        for line in lines
-        if line.successes
-    }
-    ends = [bound for x, _ in points.values() for bound in x] or [0.1, 10.0]
+    points: dict[str, dict[str, tuple[Estimate, Estimate]]] = {task: {} for task in TASKS}
+    for line in (line for line in lines if line.successes):
+        shown = Estimate(*(max(each, _LEAST) for each in variation(line)))
+        points[line.task][line.contender] = shown, success(line)
+    ends = [bound for own in points.values() for x, _ in own.values() for bound in x] or [0.1, 10.0]
     log_axis(axes[-1, 0])
-    axes[-1, 0].set(xlim=(min(ends) / 1.6, max(ends) * 1.6))
-    axes[-1, 0].set_xlabel("total variation of the force (u_max/s)")
+    axes[-1, 0].set(xlim=(min(ends) / 1.6, max(ends) * 1.6), xlabel="total variation of the force (u_max/s)")
     for axis, task in zip(axes[:, 0], TASKS, strict=True):
         share_axis(axis, "starts that succeed")
         axis.set(ylim=(-0.06, 1.32), yticks=np.linspace(0, 1, 6), title=f"{_TITLES[task]}, {_WORDS[condition]}")
@@ -300,8 +295,7 @@ def _pareto(table: Table, looks: Mapping[str, Style], condition: str) -> Figure:
         if failed:
             words = f"none succeeds:\n{textwrap.fill(failed, 90)}"
             axis.text(0.01, 0.02, words, transform=axis.transAxes, fontsize=7, va="bottom")
-    for axis, task in zip(axes[:, 0], TASKS, strict=True):
-        own = {name: point for (of, name), point in points.items() if of == task}
+    for axis, own in zip(axes[:, 0], points.values(), strict=True):
         labels = {name: name + f" (below {_LEAST:g})" * (x.value <= _LEAST) for name, (x, _) in own.items()}
         if best := front(own.values()):
             x, y = np.transpose([*best, (axis.get_xlim()[1], best[-1][1])])
