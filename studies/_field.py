@@ -10,18 +10,8 @@ from itertools import cycle
 from typing import ClassVar, Literal, NamedTuple
 
 import dpend
-from controllers import (
-    ILQRMPC,
-    LQR,
-    NMPC,
-    SDRE,
-    TVLQR,
-    BangBang,
-    EnergyPump,
-    EnergySwingUp,
-    SwitchingController,
-    shipped,
-)
+from controllers import ILQRMPC, LQR, NMPC, SDRE, TVLQR, BangBang, EnergyPump, EnergySwingUp, SwitchingController
+from controllers.data import shipped
 from dpend import Balance, Controller, Rig, SwingUp
 from dpend.suggest import suggestion
 from rl import LSPI, GaussianQAC, Learner, LinearQLearning, load_policy

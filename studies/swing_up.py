@@ -147,11 +147,8 @@ def jobs(options: Options) -> list[Job]:
             cases.append(replace(nominal, start=start, target=target, seconds=6.0, runs=transfer_runs))
         if (moves or contender.own) and not quick:
             cases += [replace(nominal, rig=rig, seconds=20.0, runs=preset_runs) for rig in PRESETS]
-    return [
-        replace(case, first=first, runs=min(_CHUNK, case.runs - first))
-        for case in cases
-        for first in range(0, case.runs, _CHUNK)
-    ]
+    chunks = [(case, first) for case in cases for first in range(0, case.runs, _CHUNK)]
+    return [replace(case, first=first, runs=min(_CHUNK, case.runs - first)) for case, first in chunks]
 
 
 def task_of(case: Any) -> dpend.SwingUp:
@@ -260,17 +257,13 @@ def report(table: Table) -> Report:
         medians = {heading: _median(runs, metric) for heading, (metric, _) in _MEDIANS.items()}
         swings.append(line | {"up, %": up(runs)} | medians)
         conditions.append(line | _rates(table, name, start))
-    transfers = [
-        {"from, to": f"{start}, {target}"}
-        | {name: _counted(runs_of(table, name, start=start, target=target)) for name in movers}
-        for start, target in TRANSFERS
-        if movers
-    ]
-    presets = [
-        {"preset": rig} | {name: _counted(runs_of(table, name, rig=rig)) or "refused" for name in elsewhere}
-        for rig in PRESETS
-        if elsewhere
-    ]
+    transfers, presets = [], []
+    for start, target in TRANSFERS if movers else ():
+        counted = {name: _counted(runs_of(table, name, start=start, target=target)) for name in movers}
+        transfers.append({"from, to": f"{start}, {target}"} | counted)
+    for rig in PRESETS if elsewhere else ():
+        counted = {name: _counted(runs_of(table, name, rig=rig)) or "refused" for name in elsewhere}
+        presets.append({"preset": rig} | counted)
     forms = {heading: form for heading, (_, form) in _MEDIANS.items()}
     tables = [
         sheet("Swing-up on the plant as it is believed to be; medians over the runs that succeed", swings, forms),
