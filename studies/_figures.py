@@ -77,14 +77,14 @@ def log_axis(axis: Axes, along: Literal["x", "y"] = "x", ticks: Sequence[float] 
     of.set_minor_formatter(NullFormatter())
 
 
-def legend_above(of: Axes | Figure, columns: int, title: str | None = None, **how: Any) -> None:
+def legend_above(of: Axes | Figure, columns: int, title: str | None = None) -> None:
     """Put the legend above axes, or above the whole figure one entry for each label, where it hides no curve."""
     axes = [of] if isinstance(of, Axes) else of.axes
     entries = {label: line for axis in axes for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     if entries:
-        place = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)} if isinstance(of, Axes) else {}
-        how = {"title": title, "ncols": columns, "loc": "outside upper center"} | place | how
-        of.legend(list(entries.values()), list(entries), **how)
+        above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
+        place: Any = above if isinstance(of, Axes) else {"loc": "outside upper center"}
+        of.legend(list(entries.values()), list(entries), title=title, ncols=columns, **place)
     elif isinstance(of, Axes) and title:
         of.set_title(title, loc="center")
 
@@ -211,26 +211,22 @@ def scatter(axis: Axes, points: Mapping[str, tuple[Estimate, Estimate]], styles:
 
 
 def heat_map(
-    axis: Axes, values: Array, rows: Sequence[str], columns: Sequence[str], *,
-    words: npt.ArrayLike | None = None, limits: tuple[float, float] = (0.0, 1.0),
-) -> Any:  # fmt: skip
-    """Draw numbers ``(n, m)`` on colours, such as shares by contender and condition, and return the image.
+    axis: Axes, values: Array, rows: Sequence[str], columns: Sequence[str], *, words: npt.ArrayLike | None = None
+) -> None:
+    """Draw shares ``(n, m)`` on colours, such as by contender and condition, where they are not NaN.
 
-    Cells show ``words`` ``(n, m)``, left out the values in percent, and nothing of NaN; long names of columns stand
-    aslant; ``limits`` are the values at the ends of the colours.
+    Cells show ``words`` ``(n, m)``, left out the values in percent; long names of columns stand aslant.
     """
-    image = axis.imshow(values, vmin=limits[0], vmax=limits[1], cmap="cividis", aspect="auto")
+    axis.imshow(values, vmin=0.0, vmax=1.0, cmap="cividis", aspect="auto")
     for (i, j), value in np.ndenumerate(values):
         if np.isfinite(value):
-            colour = "k" if value > limits[0] + 0.45 * (limits[1] - limits[0]) else "w"  # readable on either end
             text = f"{100 * value:.0f}" if words is None else str(np.asarray(words)[i, j])
-            axis.text(j, i, text, ha="center", va="center", fontsize=7.5, color=colour)
+            axis.text(j, i, text, ha="center", va="center", fontsize=7.5, color="k" if value > 0.45 else "w")
     aslant: dict[str, Any] = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"}
     axis.set_xticks(range(len(columns)), list(columns), **aslant if max(map(len, columns), default=0) > 6 else {})
     axis.set_yticks(range(len(rows)), list(rows))
     axis.tick_params(length=0)
     axis.grid(visible=False)
-    return image
 
 
 def force_trace(

@@ -252,7 +252,12 @@ def report(table: Table) -> Report:
     maps = {name: np.mean(found, axis=0) for name in looks if (found := table.arrays("basin", contender=name))}
     if maps:
         figures["_basins"] = plot_basins(maps, known=_default(table))
-    tables = (_success_table(table, success), _falls_table(table, success, falls), *_learning_tables(table, success))
+    named = {_label(table, name): curve for name, curve in success.items()}
+    by_lam = {BEST_KNOWN: best(table)[0]} | named | {"the report's Table 2": TABLE2 if _default(table) else {}}
+    lines = [{"contender": name} | {f"λ = {lam:g}": of.get(lam) for lam in lams} for name, of in by_lam.items() if of]
+    brief = {"contender", *(f"λ = {lam:g}" for lam in TABLE2)}
+    saves = sheet("Starts saved, %", lines, ".1%", note="† as shipped, one training", brief=brief)
+    tables = (saves, _falls_table(table, success, falls), *_learning_tables(table, success))
     return Report(figures=figures, tables=[each for each in tables if each.lines])
 
 
@@ -294,15 +299,6 @@ def _overview(
     axes["falls"].set_xlabel("λ90 (open) and λ50 (filled), rad")
     force_traces(axes, traces, float(table.rows["sample_time"].to_numpy()[0]), _TRACE_SECONDS)
     return figure
-
-
-def _success_table(table: Table, success: Mapping[str, Curve]) -> Sheet:
-    lams = list(next(iter(success.values())))
-    named = {_label(table, name): curve for name, curve in success.items()}
-    by_lam = {BEST_KNOWN: best(table)[0]} | named | {"the report's Table 2": TABLE2 if _default(table) else {}}
-    lines = [{"contender": name} | {f"λ = {lam:g}": of.get(lam) for lam in lams} for name, of in by_lam.items() if of]
-    brief = {"contender", *(f"λ = {lam:g}" for lam in TABLE2)}
-    return sheet("Starts saved, %", lines, ".1%", note="† as shipped, one training", brief=brief)
 
 
 def _falls_table(table: Table, success: Mapping[str, Curve], falls: Mapping[str, Falls]) -> Sheet:

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 import dpend
 import rl
@@ -252,14 +251,8 @@ WORK: Mapping[str, Callable[[Job, Contender], Values]] = {
 
 
 def report(table: Table) -> Report:
-    """Draw the ranks, and tabulate what was measured of every contender, also on one page that sorts."""
+    """Draw ranks, the best on top, and how often each is first; tabulate all measured, also on a page that sorts."""
     places: dict[TaskName, Places] = {task: found for task in TASKS if (found := ranked(table, task))}
-    tables, html = board(table, places)
-    return Report(figures=_plot(places), tables=tables, pages={"leaderboard.html": html})
-
-
-def _plot(places: Mapping[TaskName, Places]) -> Figure:
-    """Draw the ranks with their intervals, the best on top; on the right, how often each is first."""
     lines = [len(of) for of in places.values()]
     figure, axes = facets(len(places), height=1.2 + 0.24 * sum(lines), width=6.3, height_ratios=lines)
     for axis, (task, of) in zip(axes[:, 0], places.items(), strict=True):
@@ -269,7 +262,8 @@ def _plot(places: Mapping[TaskName, Places]) -> Figure:
             axis.text(1.02, line, name if line < 0 else f"{place.first:.0%}" if place else "no success", **beside)
         axis.set(xlim=(0.5, len(of) + 0.5), xticks=range(1, len(of) + 1), xlabel=f"rank, {task}, with 95 % interval")
         axis.grid(visible=False, axis="y")
-    return figure
+    tables, html = board(table, places)
+    return Report(figures=figure, tables=tables, pages={"leaderboard.html": html})
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ swing round, all but 18 of 7000 starts are recoverable.  From the default option
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -32,14 +32,14 @@ from dpend.tasks import check_lam
 
 from . import _field, _runner
 from ._closure import kept_table
-from ._estimates import Estimate, share
+from ._estimates import share
 from ._figures import Style, facets, saved_by_angle
 from ._null_controllable import null_controllable
 from ._own import Own
 from ._rescue import FORCE, LAWS, MPC, NONE, OPTIMAL, RIG, Verdict, judge
 from ._runner import Report, Result, Table
-from ._table import read_rows
-from ._tables import Sheet, Value, sheet
+from ._table import read_rows, where
+from ._tables import Value, sheet
 
 MINUTES = 111
 
@@ -85,7 +85,7 @@ class Options(_field.Options):
 class Job:
     """Fifty starts, or what is left of them, at one λ or on the map."""
 
-    lam: float | None  # none on the map
+    lam: float | None  # None on the map
     first: int
     starts: int
     planned: int  # of these iLQR MPC is tried on the first, whatever else saves them
@@ -207,7 +207,21 @@ def report(table: Table) -> Report:
     saved_by_angle(axis, shares, [style for style, _ in _CURVES.values()])
     axis.legend(loc="lower left")
     figures = {"": figure} | ({"_map": _plot_map(on_map)} if len(on_map) else {})
-    return Report(figures=figures, tables=[_shares_table(by_lam, shares), _ways_table(by_lam), *_planned_table(by_lam)])
+    heading = "λ = {:g}".format
+    counts: dict[str, Value] = {"": "starts", **{heading(lam): len(own) for lam, own in by_lam.items()}}
+    saved = [{"": name} | {heading(lam): each for lam, each in of.items()} for name, of in reversed(shares.items())]
+    ways = dict.fromkeys((*LAWS, OPTIMAL, MPC, *(by for own in by_lam.values() for by in own["by"] if by != NONE)))
+    first = [
+        {"": "not found" if way == NONE else way}
+        | {heading(lam): int(np.sum(own["by"] == way)) for lam, own in by_lam.items()}
+        for way in (*ways, NONE)
+    ]
+    tables = [
+        sheet("Starts that are saved, %", [counts, *saved], ".1%", brief={"", *list(counts)[-4:]}),
+        sheet("What saved a start first, in this order", first),
+        sheet("Of the recoverable among the first starts: saved, %", _planned(by_lam)),
+    ]
+    return Report(figures=figures, tables=[each for each in tables if each.lines])
 
 
 def _plot_map(rows: pd.DataFrame) -> Figure:
@@ -232,41 +246,16 @@ def _plot_map(rows: pd.DataFrame) -> Figure:
     return figure
 
 
-def _shares_table(by_lam: Mapping[float, pd.DataFrame], shares: Mapping[str, Mapping[float, Estimate]]) -> Sheet:
-    counts: dict[str, Value] = {"": "starts", **{f"λ = {lam:g}": len(own) for lam, own in by_lam.items()}}
-    lines = [{"": name} | {f"λ = {lam:g}": each for lam, each in of.items()} for name, of in shares.items()]
-    return sheet("Starts that are saved, %", [counts, *reversed(lines)], ".1%", brief={"", *list(counts)[-4:]})
-
-
-def _ways_table(by_lam: Mapping[float, pd.DataFrame]) -> Sheet:
-    ways = dict.fromkeys((*LAWS, OPTIMAL, MPC, *(by for own in by_lam.values() for by in own["by"] if by != NONE)))
-    lines = [
-        {"": "not found" if way == NONE else way}
-        | {f"λ = {lam:g}": int(np.sum(own["by"] == way)) for lam, own in by_lam.items()}
-        for way in (*ways, NONE)
-    ]
-    return sheet("What saved a start first, in this order", lines)
-
-
-def _planned_table(by_lam: Mapping[float, pd.DataFrame]) -> list[Sheet]:
-    lines: list[dict[str, Value]] = []
+def _planned(by_lam: Mapping[float, pd.DataFrame]) -> Iterator[dict[str, Value]]:
+    """Return what is saved of the first starts, on which iLQR MPC was tried without a gap whatever else saves them."""
     for lam, own in by_lam.items():
-        first = own[own["index"] < _planned(own)]
-        can = first[first["recoverable"]]
-        saved = {"LQR": can["lqr"], "sign of stiff LQR": can["stiff_sign"], "iLQR MPC": can["mpc"] == "yes"}
-        if len(can):
-            lines.append(
-                {"λ": f"{lam:g}", "first": len(first), "recoverable": len(can)}
-                | {f"{name}, %": share(each, len(can)) for name, each in saved.items()}
-            )
-    return [sheet("Of the recoverable among the first starts: saved, %", lines)] if lines else []
-
-
-def _planned(rows: pd.DataFrame) -> int:
-    """Return on how many of the first starts iLQR MPC was tried without a gap, if on any that feedback saves."""
-    tried = (rows["mpc"] != "-").to_numpy()
-    n = len(tried) if tried.all() else int(np.argmin(tried))
-    return n if rows["lqr"].to_numpy()[:n].any() else 0
+        tried = (own["mpc"] != "-").to_numpy()
+        n = len(tried) if tried.all() else int(np.argmin(tried))
+        can = where(own.head(n), recoverable=True)
+        if len(can) and own["lqr"].to_numpy()[:n].any():  # else it was only tried where all else fails
+            saved = {"LQR": can["lqr"], "sign of stiff LQR": can["stiff_sign"], "iLQR MPC": can["mpc"] == "yes"}
+            shares = {f"{name}, %": share(each, len(can)) for name, each in saved.items()}
+            yield {"λ": f"{lam:g}", "first": n, "recoverable": len(can), **shares}
 
 
 if __name__ == "__main__":
