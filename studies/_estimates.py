@@ -65,9 +65,6 @@ def number(value: float, form: str = "", tried: Tried | None = None) -> str:
     return f"{float(f'{value:.3g}'):,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-# -------------------------------------------------------------------------------------------------- shares and averages
-
-
 def share(successes: npt.ArrayLike, n: npt.ArrayLike) -> Estimate:
     r"""Return :math:`s/n` with Wilson's score interval, of whole numbers or columns, which are summed; NaN of none."""
     done, tried = int(np.sum(successes)), int(np.sum(n))
@@ -134,9 +131,6 @@ def worst_cases(
         (cases,), mean_of_worst, n_resamples=resamples, method="percentile", rng=np.random.default_rng(seed)
     ).confidence_interval
     return Estimate(found, min(float(interval.low), found), max(float(interval.high), found))
-
-
-# ----------------------------------------------------------------------------------------------- where success falls
 
 
 def crossing(
@@ -208,8 +202,6 @@ def falling_fit(curves: Array) -> Array:
         np.minimum(fitted[:, a:], greatest, out=fitted[:, a:])
     return fitted
 
-
-# ---------------------------------------------------------------------------------------------------------------- ranks
 
 Quotient = tuple[npt.ArrayLike, npt.ArrayLike]
 """Two numbers a run; sum of the first by sum of the second is compared, and more is better."""

@@ -173,9 +173,6 @@ def styles(names: Iterable[str], known: Iterable[Contender] = CONTENDERS) -> dic
     return chosen | dict(zip((name for name in present if name not in style), cycle(_OWN), strict=False))
 
 
-# ------------------------------------------------------------------------------------------------ who takes part
-
-
 @dataclass(frozen=True, kw_only=True)
 class Options(_runner.Options):
     """Options of a comparison's command line."""

@@ -51,8 +51,6 @@ class Axis:
     """Least magnitude that is in RealAIGym's lists too."""
 
 
-# ------------------------------------------------------------------------------------------------ RealAIGym's six axes
-
 _ERRORS = (-0.25, -0.17, -0.08, 0.08, 0.17, 0.25)
 _TORQUE_TO_FORCE = float(RIG.force_limit) / 6.0
 FRICTIONS = {
@@ -224,8 +222,6 @@ def realaigym(outcomes: Mapping[str, Array]) -> float:
     return float(np.mean([share if of in plain else (20 * share + won) / 21 for of, share in shares.items()]))
 
 
-# ------------------------------------------------------------------------------------------ wrong in everything at once
-
 WITHIN = 0.2
 """By how much everything may be wrong at once, as a share."""
 
@@ -258,9 +254,6 @@ def evaluate_on_plants(controller: Controller, task: Balance | SwingUp, n: int, 
     rig = RIG.replace(**{name: np.repeat(values, starts) for name, values in plants(n, seed).items()})
     x0 = _starts(task, n * starts, seed)  # those of the first plant come first
     return dpend.simulate_many(rig, controller, x0, task=task, seed=seed).success.reshape(n, starts).astype(np.float64)
-
-
-# -------------------------------------------------------------------------------------------------------------- sensors
 
 
 def encoders(counts: npt.ArrayLike) -> Array:

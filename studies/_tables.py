@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -126,21 +127,13 @@ def sheet(
     return Sheet(title, columns, body, note)
 
 
-# ------------------------------------------------------------------------------------------------------------ Markdown
-
-
 def markdown(table: Sheet) -> str:
     """Return a table in Markdown, below its title and above its note."""
-
-    def row(cells: Iterable[str]) -> str:
-        return "| " + " | ".join(cells) + " |"
-
-    body = [
-        row(_plain(column.heading) for column in table.columns),
-        row("---" if column.words else "---:" for column in table.columns),
-        *(row(_plain(f"{each.text} {each.under}".strip()) for each in line) for line in table.lines),
-    ]
-    parts = [f"## {_plain(table.title)}", "\n".join(body), *([_plain(table.note)] if table.note else [])]
+    body = [[_plain(column.heading) for column in table.columns]]
+    body += [["---" if column.words else "---:" for column in table.columns]]
+    body += [[_plain(f"{each.text} {each.under}".strip()) for each in line] for line in table.lines]
+    rows = "\n".join("| " + " | ".join(cells) + " |" for cells in body)
+    parts = [f"## {_plain(table.title)}", rows, *([_plain(table.note)] if table.note else [])]
     return "\n\n".join(parts) + "\n"
 
 
@@ -162,9 +155,6 @@ def _plain(text: str) -> str:
 
 def _named(column: Column) -> str:
     return f"{column.group}: {column.heading}" if column.group else column.heading
-
-
-# ------------------------------------------------------------------------------------------------------------ terminal
 
 
 def terminal(table: Sheet, width: int = 80) -> Group:
@@ -201,9 +191,6 @@ def _letters(table: Sheet, i: int) -> int:
     return max(word, min(whole, _NAME))
 
 
-# ---------------------------------------------------------------------------------------------------------------- HTML
-
-
 def page(title: str, before: Sequence[str], table: Sheet) -> str:
     """Return a page that stands alone: a table, sorted by a press on a heading, and what its columns mean.
 
@@ -213,9 +200,8 @@ def page(title: str, before: Sequence[str], table: Sheet) -> str:
     e, columns = html.escape, table.columns
     edges = {i for i, column in enumerate(columns) if i and column.group != columns[i - 1].group}
     groups = "".join(
-        f'<th scope="colgroup" colspan="{sum(column.group == group for column in columns)}" '
-        f'class="{"edge" if group else ""}"><span>{e(group)}</span></th>'
-        for group in dict.fromkeys(column.group for column in columns)
+        f'<th scope="colgroup" colspan="{n}" class="{"edge" if group else ""}"><span>{e(group)}</span></th>'
+        for group, n in Counter(column.group for column in columns).items()
     )
     headings = "".join(
         f'<th scope="col" class="{_kind(column, i in edges)}"><button title="{e(column.meaning)}">{e(column.heading)}'

@@ -130,9 +130,6 @@ def run(job: Job) -> Result:
     return Result(rows, {"outcomes": outcomes.astype(np.bool_)})
 
 
-# ------------------------------------------------------------------------------------------------- what the table says
-
-
 def outcomes_of(table: Table, contender: str, task: TaskName) -> dict[str, Array]:
     """Return a contender's outcomes ``(starts, levels)`` by name of the axis; a KeyError if the table has none."""
     own = {"contender": contender, "task": task, "part": "axes"}
@@ -161,11 +158,9 @@ def breaking(outcomes: Mapping[str, Array], axis: Axis, sign: int = 1) -> Estima
 def weakest(outcomes: Mapping[str, Array]) -> tuple[str, int, Estimate]:
     """Return the parameter, the sign and the size of the least error of one parameter that halves success."""
     sides = [(axis, sign) for axis in AXES if axis.name in PARAMETERS for sign in (-1, 1)]
-    least, axis, sign = min(
-        ((breaking(outcomes, axis, sign), axis, sign) for axis, sign in sides),
-        key=lambda found: (found[0].value, outcomes[found[1].name][:, 0 if found[2] < 0 else -1].mean()),
-    )
-    return axis.name, sign, least
+    found = {(axis.name, sign): breaking(outcomes, axis, sign) for axis, sign in sides}
+    name, sign = min(found, key=lambda at: (found[at].value, outcomes[at[0]][:, 0 if at[1] < 0 else -1].mean()))
+    return name, sign, found[name, sign]
 
 
 def on_plants(table: Table, contender: str, task: TaskName) -> tuple[Array, Estimate, Estimate]:
@@ -174,8 +169,6 @@ def on_plants(table: Table, contender: str, task: TaskName) -> tuple[Array, Esti
     shares = outcomes.mean(axis=0)
     return shares, mean_share(shares, outcomes.size), worst_cases(shares)
 
-
-# -------------------------------------------------------------------------------------------------------------- report
 
 _LEARNED = {contender.name for contender in CONTENDERS if contender.policy or contender.learner}
 _VIEW_STYLES: Mapping[str, Style] = dict(zip(VIEWS, (
@@ -332,9 +325,8 @@ def _scores(table: Table) -> Sheet:
     lines = []
     for name, task in _each(table):
         outcomes = outcomes_of(table, name, task)
-        runs, theirs = sum(of.size for of in outcomes.values()), cell(realaigym(outcomes), ".3f")
-        line = {"controller": name, "task": task, "runs": runs, **_by_axis(outcomes), "RealAIGym's way": theirs}
-        lines.append(line)
+        one = {"controller": name, "task": task, "runs": sum(of.size for of in outcomes.values())}
+        lines.append({**one, **_by_axis(outcomes), "RealAIGym's way": cell(realaigym(outcomes), ".3f")})
     title = "(a) Success, %, on each of the six axes, nominal left out; score: their mean"
     return sheet(title, lines, ".1%", brief=("controller", "task", "nominal", "score", "RealAIGym's way"))
 

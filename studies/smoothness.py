@@ -148,10 +148,8 @@ def trainings(runs: Path) -> dict[str, Smoothed]:
         if recipe.env or recipe.task != "swing-up" or recipe.rig != RIG:
             continue
         record = recipe.to_dict()
-        caps, rate, noise, *_ = (
-            record.pop(key, None)
-            for key in ("caps", "action_rate", "sensor_noise", "steps", "enough", "evaluate_every")
-        )
+        aside = ("caps", "action_rate", "sensor_noise", "steps", "enough", "evaluate_every")
+        caps, rate, noise, *_ = (record.pop(key, None) for key in aside)
         means = {"CAPS": max((caps or (0.0,))[:2]), "action rate": rate or 0.0, "noise": noise or 0.0}
         used = {words: weight for words, weight in means.items() if weight}
         smoothed = Smoothed(", ".join(used) or "plain", next(iter(used.values()), 0.0), found)
@@ -244,8 +242,6 @@ def _short(value: float | np.floating) -> float:
     return float(f"{value:.5g}")
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
 _TITLES = {"balance 0.1": "balancing, λ = 0.1", "balance 0.3": "balancing, λ = 0.3", "swing-up": "swing-up"}
 _LINES = {"perfect": "-", "noise": ":"}
 _WORDS = {"perfect": "perfect sensors", "noise": f"sensor noise {CONDITIONS['noise']:g}"}
@@ -333,8 +329,7 @@ def _forces(table: Table, looks: Mapping[str, Style], task: str, seconds: float)
         right.axvline(5.0, color="#777777", lw=0.6)
     axes[0, 1].set(xscale="log", yscale="log", xlim=(0.15, 25), ylim=(1e-9, 3), yticks=(1e-8, 1e-4, 1))
     log_axis(axes[0, 1], ticks=(0.2, 0.5, 1, 2, 5, 10, 20))
-    for axis in axes.flat:
-        axis.minorticks_off()
+    axes[0, 1].minorticks_off()
     axes[-1, 0].set_xlabel("time (s)")
     axes[-1, 1].set_xlabel("frequency (Hz)")
     figure.supylabel("force on the cart (N), perfect sensors", fontsize=8)

@@ -204,8 +204,6 @@ def _wrong(rig: dpend.Rig, error: float, rng: np.random.Generator, mine: slice) 
     return rig.replace(**{name: getattr(rig.params, name) * factors[:, i] for i, name in enumerate(names)})
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
 Runs = Mapping[str, Array]
 """Success and metrics by name, one a run."""
 
