@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib import colormaps
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -41,7 +40,7 @@ def basin(rig: dpend.Rig, controller: dpend.Controller, side: int, seed: int) ->
 
 
 def part_saved(saved: npt.NDArray[Any]) -> float:
-    """Return share of what can be saved that a basin ``(side, side)`` holds, by area; of several trainings, the mean.
+    """Return the share of what can be saved that a basin ``(side, side)`` holds, by area; of trainings, the mean.
 
     What can be saved is where the least force, linear between the points of ``recoverable``'s map, is within the limit.
     """
@@ -51,25 +50,23 @@ def part_saved(saved: npt.NDArray[Any]) -> float:
 
 
 def plot_basins(basins: Mapping[str, Array], columns: int = 4, known: bool = True) -> Figure:
-    """Return maps of basins side by side, each over what can be saved at all where that is known.
+    """Return maps of basins side by side, each over what can be saved at all where that is known (``gustafsson2016``).
 
-    Parameters
-    ----------
-    basins : mapping of str to ndarray (side, side)
-        By name: the share of trainings whose controller saves a start, by θ2 and θ1.
-    columns : int
-        Maps in a row.
-    known : bool
-        Whether they are of ``gustafsson2016``, for which it is known.
-
-    Returns
-    -------
-    Figure
+    ``basins`` are, by name, maps ``(side, side)`` by θ2 and θ1: the share of trainings whose controller saves a start.
     """
-    rows = -(-len(basins) // columns)
+    rows, limits = -(-len(basins) // columns), (-EXTENT - 0.03, EXTENT + 0.03)
     figure, axes = facets(rows, columns, height=1.65 * rows + 0.75, sharex=True, sharey=True)
     for axis, (name, saved) in zip(axes.flat, basins.items(), strict=False):
-        _plot_basin(axis, saved, known)
+        if known:
+            angles, force = recoverable.shipped_map()
+            axis.contourf(angles, angles, force, [0.0, recoverable.FORCE], colors=[_RIM])
+            axis.contour(angles, angles, force, [recoverable.FORCE], colors="k", linewidths=1.0, zorder=3)
+        outer = EXTENT + EXTENT / max(len(saved) - 1, 1)
+        axis.imshow(
+            np.ma.masked_where(saved == 0, _shade(saved)),
+            cmap=_SHADES, vmin=0, vmax=1, origin="lower", extent=(-outer, outer, -outer, outer), zorder=2,
+        )  # fmt: skip
+        axis.set(xlim=limits, ylim=limits, xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5), aspect="equal")
         axis.set_title(f"{name}: {100 * part_saved(saved):.0f} %" if known else name, fontsize=7.5, loc="center")
     for place, axis in enumerate(axes.flat):
         axis.tick_params(labelbottom=place + columns >= len(basins))  # nothing below it
@@ -89,18 +86,3 @@ def plot_basins(basins: Mapping[str, Array], columns: int = 4, known: bool = Tru
 def _shade(share: Any) -> Any:
     """Return the place of a share in the colours, of which the palest are left out."""
     return 0.2 + 0.7 * share
-
-
-def _plot_basin(axis: Axes, saved: Array, known: bool) -> None:
-    if known:
-        angles, force = recoverable.shipped_map()
-        axis.contourf(angles, angles, force, [0.0, recoverable.FORCE], colors=[_RIM])
-        axis.contour(angles, angles, force, [recoverable.FORCE], colors="k", linewidths=1.0, zorder=3)
-    step = 2 * EXTENT / max(len(saved) - 1, 1)
-    outer = EXTENT + step / 2
-    axis.imshow(
-        np.ma.masked_where(saved == 0, _shade(saved)),
-        cmap=_SHADES, vmin=0, vmax=1, origin="lower", extent=(-outer, outer, -outer, outer), zorder=2,
-    )  # fmt: skip
-    limits = -EXTENT - 0.03, EXTENT + 0.03
-    axis.set(xlim=limits, ylim=limits, xticks=(-0.5, 0, 0.5), yticks=(-0.5, 0, 0.5), aspect="equal")

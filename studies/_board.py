@@ -26,22 +26,18 @@ UP = {start: f"up from {start}, s" for start in ("hanging", "side", "anywhere")}
 """What is measured while swinging up, by start: when both links were up for good, NaN where they never were."""
 UNSCORED = (0.05,)
 SHOWN = (0.1, 0.2, 0.3, 0.4)
-REFERENCE = "best known"
-"""What any force can save, from ``studies.recoverable``."""
+REFERENCE = "best known"  # what any force can save, from studies.recoverable
 
 
 class Place(NamedTuple):
     """Where a contender stands at a task."""
 
     rank: Estimate
-    first: float
-    """Share of the resamples in which none does better."""
-    next_better: float
-    """Share of them in which the next one does better; NaN of the last."""
+    first: float  # share of the resamples in which none does better
+    next_better: float  # share of them in which the next one does better; NaN of the last
 
 
-Places = dict[str, Place | None]
-"""Those that do a task, the best first; None, at the end, of those that never succeed."""
+Places = dict[str, Place | None]  # those that do a task, the best first; None, at the end, of those that never succeed
 
 
 def mean_known(values: Array) -> float:
@@ -62,19 +58,7 @@ def outcomes_of(table: Table, name: str, task: TaskName) -> dict[Any, Array]:
 
 
 def ranked(table: Table, task: TaskName) -> Places:
-    """Rank the contenders at a task, by what the study's docstring says.
-
-    Parameters
-    ----------
-    table : Table
-        The table.
-    task : {"balance", "swing-up"}
-        The task.
-
-    Returns
-    -------
-    Places
-    """
+    """Rank the contenders at a task, by what the study's docstring says."""
     criteria = {}
     names = list(styles(table.where(work="runs", task=task)["contender"], CONTENDERS))
     for name in names:
@@ -92,10 +76,8 @@ def ranked(table: Table, task: TaskName) -> Places:
     for i, after in zip(ranks.order, [*ranks.order[1:], None], strict=True):
         better = math.nan if after is None else float(ranks.better[after, i])
         ordered[list(criteria)[i]] = Place(ranks.ranks[i], float(ranks.first[i]), better)
-    return ordered | {name: None for name in names if name not in ordered}
+    return ordered | dict.fromkeys(name for name in names if name not in ordered)
 
-
-# -------------------------------------------------------------------------------------------------------------- tables
 
 _RANK = "{}: one more than how many do better on the starts that both had; 95 % interval.  None without success."
 _STANDING = {
@@ -167,9 +149,7 @@ _BEFORE = (
     "A dash: it does not do this, or it was not measured. Press a heading to sort.",
 )
 _DOING = {"balance": "balancing", "swing-up": "swinging up"}
-
-Line = dict[str, Value]
-"""Values by heading."""
+Line = dict[str, Value]  # values by heading
 
 
 def _percent(of: Estimate) -> Cell:
@@ -199,19 +179,17 @@ def _up(found: Mapping[str, Array]) -> Line:
 
 def _at_task(table: Table, name: str, task: TaskName, place: Place | None) -> Line:
     """Return the line of a contender at a task."""
+    of = partial(values_of, table, name, task=task)
     line = {"balance": _saved, "swing-up": _up}[task](outcomes_of(table, name, task))
     if place is not None:
         line |= {"rank": place.rank, "first, %": cell(place.first, ".0%")}
         line["next is better, %"] = cell(place.next_better, ".0%")
-    of = partial(values_of, table, name, task=task)
-    line |= {
-        "variation, 1/s": mean_known(of("variation, 1/s")),
-        "effort, N² s": cell(mean_known(of("effort, N² s")), ",.0f"),
-    }
-    step, lqr = (1e3 * np.median(each) if len(each) else math.nan for each in (of("step, s"), of("step of LQR, s")))
-    if not math.isnan(step):
+    line["variation, 1/s"] = mean_known(of("variation, 1/s"))
+    line["effort, N² s"] = cell(mean_known(of("effort, N² s")), ",.0f")
+    if len(steps := of("step, s")):
+        step, lqr = (1e3 * float(np.median(each)) for each in (steps, of("step of LQR, s")))
         by_lqr = 1.0 if (name, task) == ("LQR", "balance") else step / lqr
-        line["step, ms"] = Cell(number(step), f"({number(by_lqr)} × LQR)", float(step))
+        line["step, ms"] = Cell(number(step), f"({number(by_lqr)} × LQR)", step)
     settings = {"contender": name, "task": task, "work": "robustness"}
     if table.arrays(NOMINAL.name, **settings):
         line["robust, %"] = _percent(score({axis.name: table.array(axis.name, **settings) for axis in AXES}))
@@ -220,7 +198,7 @@ def _at_task(table: Table, name: str, task: TaskName, place: Place | None) -> Li
 
 def _cost(table: Table, name: str) -> Line:
     """Return the line of what a contender cost."""
-    found = {what: values_of(table, name, what) for what in GROUPS["Cost"] if len(values_of(table, name, what))}
+    found = {what: values for what in GROUPS["Cost"] if len(values := values_of(table, name, what))}
     line: Line = {what: float(np.median(values)) for what, values in found.items()}
     if "ready, s" in found:
         line["ready, s"] = cell(mean_known(found["ready, s"]), ".2g")
@@ -257,19 +235,9 @@ def _place_in_words(name: str, task: TaskName, places: Places) -> str:
 
 
 def board(table: Table, places: Mapping[TaskName, Places]) -> tuple[list[Sheet], str]:
-    """Return the leaderboard as tables, of each task and of costs, and in one as a page that sorts.
+    """Return the leaderboard as tables, of each task and of costs, and in one as a page that sorts (HTML).
 
-    Parameters
-    ----------
-    table : Table
-        The table.
-    places : mapping
-        Those that do a task, the best first; what :func:`ranked` returns, by task.
-
-    Returns
-    -------
-    tables : list of Sheet
-    html : str
+    ``places`` is what :func:`ranked` returns, by task.
     """
     prior = {contender.name: contender.prior_knowledge for contender in CONTENDERS}
     names = list(styles(table.rows["contender"], CONTENDERS))
@@ -280,19 +248,17 @@ def board(table: Table, places: Mapping[TaskName, Places]) -> tuple[list[Sheet],
         for task in TASKS
     }
     lines["Balance"] |= {REFERENCE: _saved(known)} if known else {}
-    lines |= {"Cost": {name: _cost(table, name) for name in names}, "Prior knowledge": {}}
-    headings = GROUPS["Prior knowledge"]
-    for name in names:
-        words = (None if word == "-" else word for word in prior.get(name, YOURS))
-        lines["Prior knowledge"][name] = dict(zip(headings, words, strict=True))
+    lines["Cost"] = {name: _cost(table, name) for name in names}
+    lines["Prior knowledge"] = {
+        name: {what: word for what, word in zip(GROUPS["Prior knowledge"], prior.get(name, YOURS), strict=True)
+               if word != "-"}
+        for name in names
+    }  # fmt: skip
     own = {
-        task: "; ".join(_place_in_words(name, task, of) for name in of if name not in prior)
+        task.capitalize(): "; ".join(_place_in_words(name, task, of) for name in of if name not in prior)
         for task, of in places.items()
     }
-    tables = [
-        _sheet(f"{task.capitalize()}, the best first", {task.capitalize(): lines[task.capitalize()]}, said)
-        for task, said in own.items()
-    ]
+    tables = [_sheet(f"{task}, the best first", {task: lines[task]}, said) for task, said in own.items()]
     tables.append(_sheet("Cost and prior knowledge", {group: lines[group] for group in ("Cost", "Prior knowledge")}))
     whole = _sheet("Leaderboard", lines, "; ".join(filter(None, own.values())))
     return tables, page("Leaderboard", _BEFORE, whole)

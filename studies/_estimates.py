@@ -1,6 +1,6 @@
 """Estimates with 95 % intervals, how they are written, and what yields one: shares, means, medians, crossings, ranks.
 
-Source of the coverage of each: the tests, on data of known probability.
+The tests show what each covers, on data of known probability.
 """
 
 from __future__ import annotations
@@ -24,35 +24,18 @@ Tried = tuple[float, float]
 
 
 class Estimate(NamedTuple):
-    """A value with its 95 % interval, in the value's unit.
-
-    Attributes
-    ----------
-    value : float
-        NaN where there is nothing to take it of; of a crossing minus or plus infinite where it lies beyond the levels
-        tried.
-    low, high : float
-        The interval's ends, which may be infinite likewise; NaN where there is none.
-    """
+    """A value with its 95 % interval, in the value's unit."""
 
     value: float = math.nan
+    """NaN where there is nothing to take it of; a crossing beyond the levels tried is minus or plus infinite."""
     low: float = math.nan
     high: float = math.nan
+    """The interval's ends, which may be infinite likewise; NaN where there is none."""
 
     def written(self, form: str = "", tried: Tried | None = None) -> tuple[str, str]:
-        """Return the value in words, and its interval, which is empty where it would say no more than the value.
+        """Return value and interval in words, such as ``("84.5", "[82.1, 86.6]")``, as :func:`number` writes them.
 
-        Parameters
-        ----------
-        form : str
-            As of :func:`number`.
-        tried : (float, float), optional
-            As of :func:`number`.
-
-        Returns
-        -------
-        value, interval : str
-            Such as ``"84.5"`` and ``"[82.1, 86.6]"``.
+        The interval is empty where it would say no more than the value.
         """
         value, low, high = (number(each, form, tried) for each in self)
         said = math.isnan(self.low) or value == low == high
@@ -64,22 +47,11 @@ class Estimate(NamedTuple):
 
 
 def number(value: float, form: str = "", tried: Tried | None = None) -> str:
-    """Return a number in words: the one way in which figures stand in tables and legends.
+    """Return a number in words, the one way in which figures stand in tables and legends; NaN is a dash.
 
-    Parameters
-    ----------
-    value : float
-        The number.
-    form : str
-        As of ``format``, but of percentages the sign is left out, since the heading says it.  Left out, three digits
-        that count, and thousands apart.
-    tried : (float, float), optional
-        The least and the greatest level tried, for values that are infinite.
-
-    Returns
-    -------
-    str
-        ``"–"`` where it is NaN, ``"> 0.6"`` or ``"< 0.05"`` where it lies beyond the levels tried.
+    The form is that of ``format``, but of percentages the sign is left out, since the heading says it; without one,
+    three digits that count, and thousands apart.  An infinite value is ``"< 0.05"`` or ``"> 0.6"``, the least or the
+    greatest level tried.
     """
     if math.isnan(value):
         return "–"
@@ -93,21 +65,8 @@ def number(value: float, form: str = "", tried: Tried | None = None) -> str:
     return f"{float(f'{value:.3g}'):,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
-# -------------------------------------------------------------------------------------------------- shares and averages
-
-
 def share(successes: npt.ArrayLike, n: npt.ArrayLike) -> Estimate:
-    r"""Return :math:`s/n` with Wilson's score interval; NaN of no trials.
-
-    Parameters
-    ----------
-    successes, n : array_like
-        Successes, and trials: whole numbers, or several, which are summed.
-
-    Returns
-    -------
-    Estimate
-    """
+    r"""Return :math:`s/n` with Wilson's score interval, of whole numbers or columns, which are summed; NaN of none."""
     done, tried = int(np.sum(successes)), int(np.sum(n))
     if tried == 0:
         return Estimate()
@@ -118,19 +77,9 @@ def share(successes: npt.ArrayLike, n: npt.ArrayLike) -> Estimate:
 def mean_share(shares: npt.ArrayLike, runs: npt.ArrayLike) -> Estimate:
     r"""Return the mean of shares of success, each that of a unit of replication: a training, a start or a plant.
 
-    Parameters
-    ----------
-    shares : array_like (k,)
-        A share for each unit, within 0 and 1.
-    runs : array_like
-        Runs of all units together, or of each, which are summed.
-
-    Returns
-    -------
-    Estimate
-        :math:`\bar s \pm t_{0.975,\,k-1}\, \sigma / \sqrt{k}`, Student's interval over the units, cut off at 0 and 1,
-        or Wilson's of all runs taken together where that is wider, as when all units have the same share.  The
-        bootstrap is too narrow for ten trainings.
+    ``runs`` are those of all units together, or of each, which are summed.  The interval is Student's over the units,
+    :math:`\bar s \pm t_{0.975,\,k-1}\, \sigma / \sqrt{k}`, cut off at 0 and 1, or Wilson's of all runs taken together
+    where that is wider, as when all units have the same share.  The bootstrap is too narrow for ten trainings.
     """
     each, total = np.asarray(shares, dtype=np.float64), int(np.sum(runs))
     mean = float(each.mean())
@@ -140,19 +89,11 @@ def mean_share(shares: npt.ArrayLike, runs: npt.ArrayLike) -> Estimate:
 
 
 def median(values: npt.ArrayLike) -> Estimate:
-    """Return the median with the interval between two of the values that holds the true one, however they are spread.
+    """Return the median of values ``(n,)``, NaN of none, with an interval that holds the true one, whatever their law.
 
-    Parameters
-    ----------
-    values : array_like (n,)
-        One number a run or training; none for an estimate that is NaN.
-
-    Returns
-    -------
-    Estimate
-        How many values lie below the true median is binomial, so order statistics enclose it with at least 95 %; the
-        bootstrap of a median comes to the same and needs resamples for it.  Of fewer than six values, which cannot
-        enclose it so surely, the interval is from the least to the greatest: :math:`1 - 2^{1 - n}`.
+    How many values lie below the true median is binomial, so order statistics enclose it with at least 95 %; the
+    bootstrap of a median comes to the same and needs resamples for it.  Of fewer than six values, which cannot enclose
+    it so surely, the interval is from the least to the greatest: :math:`1 - 2^{1 - n}`.
     """
     each = np.asarray(values, dtype=np.float64)
     if len(each) == 0:
@@ -164,31 +105,13 @@ def median(values: npt.ArrayLike) -> Estimate:
 def worst_cases(
     values: npt.ArrayLike, tail: float = 0.1, *, resamples: int = 1000, seed: int | Sequence[int] = 0
 ) -> Estimate:
-    r"""Return the conditional value at risk: the mean of the least values.
+    r"""Return the conditional value at risk: the mean of the least share :math:`\alpha`, the tail, of values ``(n,)``.
 
-    Parameters
-    ----------
-    values : array_like (n,)
-        One number a case, such as the share of starts that a controller saves on one plant out of many.
-    tail : float
-        :math:`\alpha`, above 0, at most 1; where :math:`\alpha n` is no whole number, the last case counts in part.
-    resamples : int
-        Bootstrap samples.
-    seed : int or sequence of int
-        What they are drawn from.
+    A value is that of a case, such as the share of starts that a controller saves on one plant out of many.  Where
+    :math:`\alpha n` is no whole number, the last case counts in part; a tail of less than one, or values that are not
+    finite, are a ValueError.  The bootstrap's interval over cases is too narrow where fewer than some 25 are in the
+    tail.
 
-    Returns
-    -------
-    Estimate
-        The interval is the bootstrap's over cases, too narrow where fewer than some 25 are in the tail.
-
-    Raises
-    ------
-    ValueError
-        If the values are not a row of finite numbers, or the tail holds less than one of them.
-
-    Notes
-    -----
     Source: R. T. Rockafellar and S. Uryasev, *Optimization of Conditional Value-at-Risk*, 2000.
     """
     cases = np.asarray(values, dtype=np.float64)
@@ -210,9 +133,6 @@ def worst_cases(
     return Estimate(found, min(float(interval.low), found), max(float(interval.high), found))
 
 
-# ----------------------------------------------------------------------------------------------- where success falls
-
-
 def crossing(
     levels: npt.ArrayLike, outcomes: npt.ArrayLike, share: float = 0.5, *, resamples: int = 1000, seed: int = 0
 ) -> Estimate:
@@ -223,34 +143,12 @@ def crossing(
     rows, its percentiles expanded for few rows as Student's distribution expands the normal's.  Rows may differ by
     chance, or be the same starts at every level: their ties are kept, since a row is drawn whole.
 
-    Parameters
-    ----------
-    levels : array_like (L,)
-        Increasing.
-    outcomes : array_like (n, L)
-        A row for each unit of replication: a start's successes, or the shares of a trained controller.
-    share : float
-        Between 0 and 1.
-    resamples : int
-        Bootstrap samples.
-    seed : int
-        What they are drawn from.
+    The rows ``(n, L)`` are units of replication: a start's successes, or the shares of a trained controller, at levels
+    ``(L,)`` that increase; a crossing beyond them is minus or plus infinite.  Shapes that do not fit, levels that do
+    not increase, and a share that is not between 0 and 1 are a ValueError.
 
-    Returns
-    -------
-    Estimate
-        Minus or plus infinite where it lies outside the levels.
-
-    Raises
-    ------
-    ValueError
-        If the shapes do not fit, the levels do not increase, or the share is not between 0 and 1.
-
-    Notes
-    -----
     With starts as rows the interval covers as it should from some 200 on, with ten trainings as rows too.  What is
     assumed between levels shows in :math:`\lambda_{90}` where success falls by more than a third from one to the next.
-
     Source of the expansion: T. Hesterberg, *What Teachers Should Know About the Bootstrap*, 2015.
     """
     points = np.asarray(levels, dtype=np.float64)
@@ -288,22 +186,10 @@ def _crossed(levels: Array, curves: Array, share: float, n: int) -> Array:
 
 
 def falling_fit(curves: Array) -> Array:
-    r"""Return the curves that never rise and are nearest in least squares, a row each.
+    r"""Return the curves that never rise and are nearest in least squares, a row each of ``(m, L)``.
 
-    It is :math:`\hat y_i = \min_{a \le i} \max_{b \ge i} \bar y_{a..b}`.
-
-    Parameters
-    ----------
-    curves : ndarray (m, L)
-        Curves.
-
-    Returns
-    -------
-    ndarray (m, L)
-
-    Notes
-    -----
-    Source: T. Robertson, F. T. Wright and R. L. Dykstra, *Order Restricted Statistical Inference*, 1988, section 1.4.
+    It is :math:`\hat y_i = \min_{a \le i} \max_{b \ge i} \bar y_{a..b}`: T. Robertson, F. T. Wright and R. L. Dykstra,
+    *Order Restricted Statistical Inference*, 1988, section 1.4.
     """
     # scipy.optimize.isotonic_regression finds the same, but one curve a call: for the thousand short ones of a
     # bootstrap, and the hundreds of crossings in a table, this is 24 times as fast.
@@ -317,62 +203,32 @@ def falling_fit(curves: Array) -> Array:
     return fitted
 
 
-# ---------------------------------------------------------------------------------------------------------------- ranks
-
 Quotient = tuple[npt.ArrayLike, npt.ArrayLike]
 """Two numbers a run; sum of the first by sum of the second is compared, and more is better."""
 
 
 class Ranking(NamedTuple):
-    """Ranks of ``k`` contenders.
-
-    Attributes
-    ----------
-    order : ndarray (k,)
-        The best first; equals in the order in which they came.
-    ranks : tuple of k Estimate
-        One more than the number of those that do better; equals share it.
-    first : ndarray (k,)
-        Share of the resamples in which none does better.
-    better : ndarray (k, k)
-        Share of the resamples in which the row's does better than the column's.
-    """
+    """Ranks of ``k`` contenders."""
 
     order: npt.NDArray[np.int64]
+    """The best first; equals in the order in which they came."""
     ranks: tuple[Estimate, ...]
+    """One more than the number of those that do better; equals share it."""
     first: Array
+    """Share of the resamples in which none does better, ``(k,)``."""
     better: Array
+    """Share of the resamples in which the row's does better than the column's, ``(k, k)``."""
 
 
 def ranking(criteria: Sequence[Sequence[Quotient]], *, resamples: int = 2000, seed: int = 0) -> Ranking:
     r"""Return ranks by one criterion after the other, and how stable they are when the runs are resampled.
 
-    Of two, the one with the greater :math:`\sum_i a_i / \sum_i b_i` over the runs that both have does better; where
-    these are equal, the next criterion decides.  Run ``i`` is the same start for every contender, and is drawn for all
-    at once.  So those that have fewer runs are compared on these, whether they were hard or easy.
-
-    Parameters
-    ----------
-    criteria : sequence of sequence of Quotient
-        Of each that is ranked, its criteria, the most important first; arrays ``(n,)``, ``n`` may differ.
-    resamples : int
-        Bootstrap samples.
-    seed : int
-        What they are drawn from.
-
-    Returns
-    -------
-    Ranking
-
-    Raises
-    ------
-    ValueError
-        If there is no contender, or the arrays of one have different lengths.
-
-    Notes
-    -----
-    Where some have fewer runs, three may beat each other in a circle; then they share a rank.  The bootstrap cannot
-    know what no run has shown: two that never failed are equal in every resample.
+    Each contender has criteria, the most important first.  Of two, the one with the greater
+    :math:`\sum_i a_i / \sum_i b_i` over the runs that both have does better; where these are equal, the next criterion
+    decides.  Run ``i`` of the arrays ``(n,)`` is the same start for every contender, and is drawn for all at once; so
+    those that have fewer runs are compared on these, whether they were hard or easy; three may then beat each other in
+    a circle, and share a rank.  The bootstrap cannot know what no run has shown: two that never failed are equal in
+    every resample.  No contender, or arrays of different lengths for one, are a ValueError.
     """
     lengths = np.array([len(np.asarray(own[0][0])) for own in criteria], dtype=np.int64)
     if not len(lengths) or any(np.shape(each) != (n,) for own, n in zip(criteria, lengths, strict=True)

@@ -10,18 +10,8 @@ from itertools import cycle
 from typing import ClassVar, Literal, NamedTuple
 
 import dpend
-from controllers import (
-    ILQRMPC,
-    LQR,
-    NMPC,
-    SDRE,
-    TVLQR,
-    BangBang,
-    EnergyPump,
-    EnergySwingUp,
-    SwitchingController,
-    shipped,
-)
+from controllers import ILQRMPC, LQR, NMPC, SDRE, TVLQR, BangBang, EnergyPump, EnergySwingUp, SwitchingController
+from controllers.data import shipped
 from dpend import Balance, Controller, Rig, SwingUp
 from dpend.suggest import suggestion
 from rl import LSPI, GaussianQAC, Learner, LinearQLearning, load_policy
@@ -64,48 +54,31 @@ class PriorKnowledge(NamedTuple):
 _DESIGNED = PriorKnowledge("equations and parameters", "quadratic cost", "-")
 _ENERGY = PriorKnowledge("equations and parameters", "energy, then quadratic cost", "-")
 _SHAPED = PriorKnowledge("none", "shaped: height, low rates, upright", "anywhere, near upright too")
+_NEAR = _SHAPED._replace(starts="λ = .4 about upright")
 YOURS = PriorKnowledge("yours to say", "yours to say", "yours to say")
 """What only its author knows of a user's own controller."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Contender:
-    """One that takes part.
-
-    Attributes
-    ----------
-    name : str
-        How tables call it.
-    make : callable
-        Returns the controller for what is believed of the rig, and for a task.
-    tasks : tuple of str
-        What it can do at all: "balance", "swing-up".
-    prior_knowledge : PriorKnowledge
-        What it knew.
-    style : Style
-        That of its curves.
-    cost : Cost
-        How long it takes.
-    learner : callable, optional
-        Returns a learner for a rig that is trained in seconds, so that a study may train it itself.
-    policy : str
-        Name of the policy that is shipped, of a learner.
-    trainings : str
-        Name under which the trainings of one that takes minutes are kept in ``docs/results/deep``.
-    own : Own, optional
-        Of a user's own controller: where it is, and its fingerprint.
-    """
+    """One that takes part."""
 
     name: str
     make: Callable[[Rig, Balance | SwingUp], Controller]
+    """Returns the controller for what is believed of the rig, and for a task."""
     tasks: tuple[TaskName, ...] = ("balance",)
+    """What it can do at all."""
     prior_knowledge: PriorKnowledge = _DESIGNED
     style: Style = ("#7F3C8D", "h", "-")
     cost: Cost = Cost.CHEAP
     learner: Callable[[Rig], Learner] | None = None
+    """Returns a learner for a rig that is trained in seconds, so that a study may train it itself."""
     policy: str = ""
+    """Name of the policy that is shipped, of a learner."""
     trainings: str = ""
+    """Name under which the trainings of one that takes minutes are kept in ``docs/results/deep``."""
     own: Own | None = None
+    """Of a user's own controller: where it is, and its fingerprint."""
 
 
 def _learned(name: str) -> Callable[[Rig, Balance | SwingUp], Controller]:
@@ -149,101 +122,41 @@ BOTH: tuple[TaskName, ...] = ("balance", "swing-up")
 CONTENDERS: tuple[Contender, ...] = (
     Contender(name="LQR", make=lambda rig, task: LQR(rig), style=("#0072B2", "o", "-")),
     Contender(name="stiff LQR", make=lambda rig, task: _stiff(rig), style=("#56B4E9", "<", "--")),
-    Contender(
-        name="sign of LQR",
-        make=lambda rig, task: BangBang(LQR(rig), float(rig.force_limit)),
-        style=("#E69F00", "s", "--"),
-    ),
-    Contender(
-        name="sign of stiff LQR",
-        make=lambda rig, task: BangBang(_stiff(rig), float(rig.force_limit)),
-        style=("#D55E00", "^", "--"),
-    ),
+    Contender(name="sign of LQR", make=lambda rig, task: BangBang(LQR(rig), float(rig.force_limit)),
+              style=("#E69F00", "s", "--")),
+    Contender(name="sign of stiff LQR", make=lambda rig, task: BangBang(_stiff(rig), float(rig.force_limit)),
+              style=("#D55E00", "^", "--")),
     Contender(name="SDRE", make=lambda rig, task: SDRE(rig), style=("#009E73", ">", "-."), cost=Cost.MODERATE),
     Contender(name="iLQR MPC", make=_planner, tasks=BOTH, style=("#000000", "X", "-"), cost=Cost.MODERATE),
     Contender(name="NMPC", make=_nonlinear, tasks=BOTH, style=("#777777", "P", "-"), cost=Cost.EXPENSIVE),
-    Contender(
-        name="TVLQR",
-        make=_follower,
-        tasks=("swing-up",),
-        prior_knowledge=PriorKnowledge("equations and parameters", "effort of a trajectory, then quadratic cost", "-"),
-        style=("#009E73", "^", "-"),
-    ),
-    Contender(
-        name="passivity, LQR",
-        make=lambda rig, task: SwitchingController(rig, EnergySwingUp(rig)),
-        tasks=("swing-up",),
-        prior_knowledge=_ENERGY,
-        style=("#8C6D1F", "v", ":"),
-        cost=Cost.MODERATE,
-    ),
-    Contender(
-        name="pumping, LQR",
-        make=lambda rig, task: SwitchingController(rig, EnergyPump(rig)),
-        tasks=("swing-up",),
-        prior_knowledge=_ENERGY,
-        style=("#E69F00", "v", "-."),
-        cost=Cost.MODERATE,
-    ),
-    Contender(
-        name="pumping, iLQR, LQR",
-        make=_planned_last_swing,
-        tasks=("swing-up",),
-        prior_knowledge=_ENERGY,
-        style=("#D55E00", "s", "--"),
-        cost=Cost.MODERATE,
-    ),
-    Contender(
-        name="Q tuned",
-        make=_learned("q-tuned"),
-        prior_knowledge=PriorKnowledge("none", "report's cost, weights tuned", "λ = .08 about upright, tests to .3"),
-        style=("#009E73", "D", "-."),
-        learner=lambda rig: LinearQLearning.tuned(rig),
-        policy="q-tuned",
-    ),
-    Contender(
-        name="QAC tuned",
-        make=_learned("qac-tuned"),
-        prior_knowledge=PriorKnowledge("none", "quadratic cost, angles costly at first", "λ = .1 about upright"),
-        style=("#CC79A7", "*", (0, (6, 1, 1, 1))),
-        learner=lambda rig: GaussianQAC.tuned(rig),
-        policy="qac-tuned",
-    ),
-    Contender(
-        name="LSPI",
-        make=_learned("lspi"),
-        prior_knowledge=PriorKnowledge("none", "quadratic cost", "λ = .02 about upright"),
-        style=("#56B4E9", "p", "-"),
-        learner=lambda rig: LSPI(rig),
-        policy="lspi",
-    ),
-    Contender(
-        name="PPO balance",
-        make=_learned("ppo-balance"),
-        prior_knowledge=PriorKnowledge("none", "shaped: height, low rates, upright", "λ = .4 about upright"),
-        style=("#0072B2", "d", ":"),
-        policy="ppo-balance", trainings="ppo-balance",
-    ),
-    Contender(
-        name="DDPG balance",
-        make=_learned("ddpg-balance"),
-        prior_knowledge=PriorKnowledge("none", "shaped: height, low rates, upright", "λ = .4 about upright"),
-        style=("#E69F00", "d", ":"),
-        policy="ddpg-balance", trainings="ddpg-balance",
-    ),
-    Contender(
-        name="PPO swing-up", make=_learned("ppo-swing-up"), tasks=BOTH, prior_knowledge=_SHAPED,
-        style=("#CC79A7", "o", "-"), policy="ppo-swing-up", trainings="ppo-swing-up",
-    ),
-    Contender(
-        name="PPO swing-up, smooth", make=_learned("ppo-swing-up-smooth"), tasks=BOTH,
-        prior_knowledge=PriorKnowledge("none", "shaped, and changes of force", "anywhere, near upright too"),
-        style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth", trainings="ppo-swing-up-smooth",
-    ),
-    Contender(
-        name="DDPG swing-up", make=_learned("ddpg-swing-up"), tasks=BOTH, prior_knowledge=_SHAPED,
-        style=("#D55E00", "D", ":"), policy="ddpg-swing-up", trainings="ddpg-swing-up",
-    ),
+    Contender(name="TVLQR", make=_follower, tasks=("swing-up",), style=("#009E73", "^", "-"),
+              prior_knowledge=_DESIGNED._replace(reward="effort of a trajectory, then quadratic cost")),
+    Contender(name="passivity, LQR", make=lambda rig, task: SwitchingController(rig, EnergySwingUp(rig)),
+              tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#8C6D1F", "v", ":"), cost=Cost.MODERATE),
+    Contender(name="pumping, LQR", make=lambda rig, task: SwitchingController(rig, EnergyPump(rig)),
+              tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#E69F00", "v", "-."), cost=Cost.MODERATE),
+    Contender(name="pumping, iLQR, LQR", make=_planned_last_swing, tasks=("swing-up",), prior_knowledge=_ENERGY,
+              style=("#D55E00", "s", "--"), cost=Cost.MODERATE),
+    Contender(name="Q tuned", make=_learned("q-tuned"), learner=lambda rig: LinearQLearning.tuned(rig),
+              policy="q-tuned", style=("#009E73", "D", "-."), prior_knowledge=PriorKnowledge(
+                  "none", "report's cost, weights tuned", "λ = .08 about upright, tests to .3")),
+    Contender(name="QAC tuned", make=_learned("qac-tuned"), learner=lambda rig: GaussianQAC.tuned(rig),
+              policy="qac-tuned", style=("#CC79A7", "*", (0, (6, 1, 1, 1))), prior_knowledge=PriorKnowledge(
+                  "none", "quadratic cost, angles costly at first", "λ = .1 about upright")),
+    Contender(name="LSPI", make=_learned("lspi"), learner=lambda rig: LSPI(rig), policy="lspi",
+              prior_knowledge=PriorKnowledge("none", "quadratic cost", "λ = .02 about upright"),
+              style=("#56B4E9", "p", "-")),
+    Contender(name="PPO balance", make=_learned("ppo-balance"), policy="ppo-balance", trainings="ppo-balance",
+              prior_knowledge=_NEAR, style=("#0072B2", "d", ":")),
+    Contender(name="DDPG balance", make=_learned("ddpg-balance"), policy="ddpg-balance", trainings="ddpg-balance",
+              prior_knowledge=_NEAR, style=("#E69F00", "d", ":")),
+    Contender(name="PPO swing-up", make=_learned("ppo-swing-up"), tasks=BOTH, prior_knowledge=_SHAPED,
+              style=("#CC79A7", "o", "-"), policy="ppo-swing-up", trainings="ppo-swing-up"),
+    Contender(name="PPO swing-up, smooth", make=_learned("ppo-swing-up-smooth"), tasks=BOTH,
+              prior_knowledge=PriorKnowledge("none", "shaped, and changes of force", "anywhere, near upright too"),
+              style=("#CC79A7", ">", "--"), policy="ppo-swing-up-smooth", trainings="ppo-swing-up-smooth"),
+    Contender(name="DDPG swing-up", make=_learned("ddpg-swing-up"), tasks=BOTH, prior_knowledge=_SHAPED,
+              style=("#D55E00", "D", ":"), policy="ddpg-swing-up", trainings="ddpg-swing-up"),
 )  # fmt: skip
 """All that come with the package, as designed with their defaults or as shipped."""
 
@@ -254,23 +167,10 @@ _OWN: tuple[Style, ...] = (
 
 
 def styles(names: Iterable[str], known: Iterable[Contender] = CONTENDERS) -> dict[str, Style]:
-    """Return the style of each contender, in the order of those known; users' own come last.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Those in a table, in any order.
-    known : iterable of Contender
-        Those that have a style; the others get one in turn.
-    """
-    own_styles = cycle(_OWN)
-    style = {contender.name: contender.style for contender in known}
-    present = dict.fromkeys(names)
+    """Return the style of each name, in the order of those known; users' own get one in turn and come last."""
+    style, present = {contender.name: contender.style for contender in known}, dict.fromkeys(names)
     chosen = {name: style[name] for name in style if name in present}
-    return chosen | {name: next(own_styles) for name in present if name not in style}
-
-
-# ------------------------------------------------------------------------------------------------ who takes part
+    return chosen | dict(zip((name for name in present if name not in style), cycle(_OWN), strict=False))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,12 +187,13 @@ class Options(_runner.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        names = [contender.name for contender in (*self.known, *map(own, self.controller))]
+        every = (*self.known, *map(own, self.controller))
+        names = [contender.name for contender in every]
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"--controller: two contenders are called {name!r}; rename the factory.")
         for name in self.only:
-            find(name, known=(*self.known, *map(own, self.controller)))
+            find(name, known=every)
 
     @property
     def joining(self) -> bool:
@@ -300,33 +201,15 @@ class Options(_runner.Options):
         return bool(self.controller)
 
     def contenders(self, task: TaskName) -> list[Contender]:
-        """Return those that do a task and were not left out, the user's own last.
-
-        Parameters
-        ----------
-        task : {"balance", "swing-up"}
-            The task.
-        """
+        """Return those that do a task and were not left out, the user's own last."""
         chosen = [contender for contender in self.known if not self.only or contender.name in self.only]
         return [contender for contender in (*chosen, *map(own, self.controller)) if task in contender.tasks]
 
 
 def find(name: str, own_controller: Own | None = None, known: Iterable[Contender] = CONTENDERS) -> Contender:
-    """Return the contender that a job names.
+    """Return the contender that a job names: one of those known, or a user's own by its ``own``.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    own_controller : Own, optional
-        The ``own`` of a user's own controller.
-    known : iterable of Contender
-        Those that can take part beside it.
-
-    Raises
-    ------
-    ValueError
-        If no contender has this name, or a user's own controller is not what it was when the job was listed.
+    It is a ValueError if there is none, or a user's own controller is not what it was when the job was listed.
     """
     if own_controller is not None:
         found = own(own_controller.spec)
@@ -341,29 +224,12 @@ def find(name: str, own_controller: Own | None = None, known: Iterable[Contender
 
 @cache
 def own(spec: str) -> Contender:
-    """Return a user's own controller, loaded once, as a contender; see :func:`studies._own.load_own`.
+    """Return a user's own controller, loaded once, as a contender that is called as its factory is.
 
-    Parameters
-    ----------
-    spec : str
-        ``path.py:factory`` or ``module:factory``.
-
-    Returns
-    -------
-    Contender
-        Called as the factory is.
-
-    Raises
-    ------
-    ValueError
-        If there is no such file or name, it raises, or what it returns is no controller.
+    See :func:`studies._own.load_own` for the text, ``path.py:factory`` or ``module:factory``, and what is refused.
     """
     loaded = load_own(spec, RIG)
     return Contender(
-        name=loaded.name,
-        make=lambda rig, task: loaded.make(rig),
-        tasks=BOTH,
-        prior_knowledge=YOURS,
-        cost=Cost.CHEAP if loaded.batched else Cost.MODERATE,
-        own=loaded.own,
-    )
+        name=loaded.name, make=lambda rig, task: loaded.make(rig), tasks=BOTH, prior_knowledge=YOURS,
+        cost=Cost.CHEAP if loaded.batched else Cost.MODERATE, own=loaded.own,
+    )  # fmt: skip

@@ -23,12 +23,8 @@ from dpend.params import Array
 from ._estimates import Estimate, Tried
 from ._labels import place_labels
 
-Style = tuple[str, str, Any]
-"""Colour, marker and line style, as those of :class:`studies._field.Contender`."""
-
-Curve = Mapping[float, Estimate]
-"""Estimates by level, in order."""
-
+Style = tuple[str, str, Any]  # colour, marker and line style, as those of studies._field.Contender
+Curve = Mapping[float, Estimate]  # estimates by level, in order
 BEST: Style = ("#666666", "|", "-")
 """What any controller can do at best, as far as is known."""
 
@@ -37,8 +33,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000", "#5
 
 _LINES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)))
 _MARKERS = ("o", "s", "D", "^", "v", "P", "X", "p")
-WIDTH = 6.8
-"""Width of a figure, inches: that of a page's text."""
+WIDTH = 6.8  # width of a figure, inches: that of a page's text
 
 
 def look() -> AbstractContextManager[None]:
@@ -54,22 +49,7 @@ def palette(names: Iterable[str]) -> dict[str, Style]:
 def facets(
     rows: int, columns: int = 1, *, height: float, width: float = WIDTH, **how: Any
 ) -> tuple[Figure, npt.NDArray[Any]]:
-    """Return a figure and its axes ``(rows, columns)``.
-
-    Parameters
-    ----------
-    rows, columns : int
-        Panels below and beside each other.
-    height, width : float
-        Of the whole figure, inches.
-    **how
-        As of ``Figure.subplots``, such as ``sharex``, ``width_ratios``.
-
-    Returns
-    -------
-    figure : Figure
-    axes : ndarray (rows, columns) of Axes
-    """
+    """Return a figure, inches wide and high, and its axes ``(rows, columns)``; ``how`` as of ``Figure.subplots``."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **how)
 
@@ -78,9 +58,6 @@ def mosaic(layout: Any, *, height: float, width: float = WIDTH, **how: Any) -> t
     """Return a figure and its axes by name, laid out as ``Figure.subplot_mosaic`` has it."""
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplot_mosaic(layout, **how)
-
-
-# ------------------------------------------------------------------------------------------------------- axes, legends
 
 
 def share_axis(axis: Axes, label: str | None = None, along: Literal["x", "y"] = "y") -> None:
@@ -100,65 +77,31 @@ def log_axis(axis: Axes, along: Literal["x", "y"] = "x", ticks: Sequence[float] 
     of.set_minor_formatter(NullFormatter())
 
 
-def legend_above(of: Axes | Figure, columns: int, title: str | None = None, **how: Any) -> None:
+def legend_above(of: Axes | Figure, columns: int, title: str | None = None) -> None:
     """Put the legend above axes, or above the whole figure one entry for each label, where it hides no curve."""
-    if isinstance(of, Axes):
-        if of.get_legend_handles_labels()[0]:
-            of.legend(title=title, ncols=columns, loc="lower center", bbox_to_anchor=(0.5, 1.0), **how)
-        elif title:
-            of.set_title(title, loc="center")
-        return
-    entries = {
-        label: handle
-        for axis in of.axes
-        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
-    }  # fmt: skip
+    axes = [of] if isinstance(of, Axes) else of.axes
+    entries = {label: line for axis in axes for line, label in zip(*axis.get_legend_handles_labels(), strict=True)}
     if entries:
-        legend = (entries.values(), entries.keys())
-        of.legend(*legend, title=title, ncols=columns, loc="outside upper center", **how)
+        above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
+        place: Any = above if isinstance(of, Axes) else {"loc": "outside upper center"}
+        of.legend(list(entries.values()), list(entries), title=title, ncols=columns, **place)
+    elif isinstance(of, Axes) and title:
+        of.set_title(title, loc="center")
 
 
-def note(axis: Axes, words: str, where: Literal["upper left", "lower left"] = "upper left") -> None:
-    """Write words in a corner, over what is drawn there."""
-    y, va = (0.965, "top") if where.startswith("upper") else (0.02, "bottom")
+def note(axis: Axes, words: str) -> None:
+    """Write words in the upper left corner, over what is drawn there."""
     box = {"facecolor": "white", "alpha": 0.8, "lw": 0, "pad": 1.0}
-    axis.text(0.008, y, words, transform=axis.transAxes, fontsize=7, va=va, style="italic", bbox=box)
-
-
-# -------------------------------------------------------------------------------------------------- values, intervals
+    axis.text(0.008, 0.965, words, transform=axis.transAxes, fontsize=7, va="top", style="italic", bbox=box)
 
 
 def intervals(
-    axis: Axes,
-    places: npt.ArrayLike,
-    estimates: Iterable[Estimate],
-    style: Style,
-    *,
-    along: Literal["x", "y"] = "y",
-    hollow: bool = False,
-    joined: bool = True,
-    **how: Any,
-) -> None:
-    """Draw estimates with their intervals, where they have one.
+    axis: Axes, places: npt.ArrayLike, estimates: Iterable[Estimate], style: Style, *,
+    along: Literal["x", "y"] = "y", hollow: bool = False, joined: bool = True, **how: Any,
+) -> None:  # fmt: skip
+    """Draw estimates with their intervals, where they have one, at ``places`` ``(n,)`` on the other axis.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture.
-    places : array_like (n,)
-        Where they stand on the other axis.
-    estimates : n Estimate
-        What is drawn.
-    style : Style
-        Colour, marker, line.
-    along : {"y", "x"}
-        The axis on which the estimates are measured.
-    hollow : bool
-        Whether markers are open.
-    joined : bool
-        Whether a line joins them.
-    **how
-        As of ``Axes.errorbar``, such as ``label``.
+    They are measured ``along`` x or y; ``how`` is as of ``Axes.errorbar``, such as ``label``.
     """
     colour, marker, line = style
     value, low, high = np.array(list(estimates), dtype=np.float64).reshape(-1, 3).T
@@ -173,24 +116,23 @@ def intervals(
 def curves(
     axis: Axes, of: Mapping[str, Curve], styles: Mapping[str, Style] | Sequence[Style], *, aside: float = 0.005
 ) -> None:
-    """Draw curves with their intervals, by label, moved aside a little so that no interval hides another.
+    """Draw curves with their intervals, by label; styles are by label too, or in the order of the curves.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture.
-    of : mapping of str to Curve
-        By label.
-    styles : mapping or sequence of Style
-        By label, or in the order of the curves.
-    aside : float
-        By how much of the levels' range each is moved from the one before.
+    Each is moved aside from the one before, by a share of the levels' range, so that no interval hides another.
     """
     looks = [styles[label] for label in of] if isinstance(styles, Mapping) else styles
     for place, ((label, curve), style) in enumerate(zip(of.items(), looks, strict=True)):
         levels = np.array(list(curve))
         moved = aside * np.ptp(levels) * (place - (len(of) - 1) / 2) if len(levels) else 0.0
         intervals(axis, levels + moved, curve.values(), style, label=label)
+
+
+def saved_by_angle(axis: Axes, of: Mapping[str, Curve], styles: Mapping[str, Style] | Sequence[Style],
+                   label: str = "starts saved", **how: Any) -> None:  # fmt: skip
+    """Draw shares of starts saved against the greatest starting angle, as :func:`curves` does."""
+    curves(axis, of, styles, **how)
+    share_axis(axis, label)
+    axis.set_xlabel("greatest starting angle λ (rad)")
 
 
 def best_known(axis: Axes, curve: Curve, label: str) -> None:
@@ -210,33 +152,13 @@ def band(axis: Axes, x: npt.ArrayLike, quantiles: npt.ArrayLike, style: Style, l
 
 
 def forest(
-    axis: Axes,
-    estimates: Mapping[str, Estimate],
-    styles: Mapping[str, Style] | Style,
-    *,
-    hollow: bool = False,
-    aside: float = 0.0,
-    tried: Tried | None = None,
-    label: str | None = None,
-) -> None:
-    """Draw estimates with their intervals, one a line, the first on top; what lies beyond the levels tried is an arrow.
+    axis: Axes, estimates: Mapping[str, Estimate], styles: Mapping[str, Style] | Style, *,
+    hollow: bool = False, aside: float = 0.0, tried: Tried | None = None, label: str | None = None,
+) -> None:  # fmt: skip
+    """Draw estimates with their intervals, one a line, the first on top; a second call with the same names adds to it.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture; a second call with the same names adds to it.
-    estimates : mapping of str to Estimate
-        By what stands beside the line; NaN leaves its line empty.
-    styles : mapping of Style, or Style
-        By name, :data:`BEST` for those that have none; or one for all.
-    hollow : bool
-        Whether markers are open.
-    aside : float
-        By how much of a line they are moved down.
-    tried : (float, float), optional
-        The least and the greatest level tried; the axis ends a little beyond.
-    label : str, optional
-        What stands in the legend.
+    NaN leaves its line empty; a name without a style has :data:`BEST`; ``aside`` moves down by a share of a line.  The
+    axis ends a little beyond the least and the greatest level ``tried``, and what lies there is an arrow.
     """
     left, right = -np.inf, np.inf
     if tried is not None:
@@ -263,18 +185,7 @@ def strip(
 ) -> None:
     """Draw groups side by side, such as learners, each of their values, such as a training's, a point of its own.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture; a second call with the same groups adds to it.
-    groups : mapping of str to sequence of Estimate
-        By what stands below them; an estimate without interval is a point alone.
-    style : Style
-        Colour and marker.
-    aside : float
-        By how much of a group they are moved to the right.
-    hollow : bool
-        Whether markers are open.
+    A second call with the same groups, moved ``aside`` by a share of a group to the right, adds to the picture.
     """
     for place, own in enumerate(groups.values()):
         x = place + aside + 0.05 * (np.arange(len(own)) - (len(own) - 1) / 2)
@@ -284,16 +195,9 @@ def strip(
 
 
 def scatter(axis: Axes, points: Mapping[str, tuple[Estimate, Estimate]], styles: Mapping[str, Style]) -> None:
-    """Draw points with intervals along both axes, each with its name beside it, no name over another or a point.
+    """Draw points with intervals along x and y, each with its name beside it, no name over another or a point.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture, with its scales and limits set, of a figure on which nothing else that takes room will be put.
-    points : mapping of str to (Estimate, Estimate)
-        Along x and y, by name.
-    styles : mapping of Style
-        By name.
+    The axes' scales and limits must be set, and nothing else that takes room be put on the figure afterwards.
     """
     boxes = []
     for name, (x, y) in points.items():
@@ -306,50 +210,23 @@ def scatter(axis: Axes, points: Mapping[str, tuple[Estimate, Estimate]], styles:
         place_labels(axis, x, y, list(points), avoid=np.array(boxes))
 
 
-# --------------------------------------------------------------------------------------------------------- maps, traces
-
-
 def heat_map(
-    axis: Axes,
-    values: Array,
-    rows: Sequence[str],
-    columns: Sequence[str],
-    *,
-    words: npt.ArrayLike | None = None,
-    limits: tuple[float, float] = (0.0, 1.0),
-) -> Any:
-    """Draw numbers on colours, such as shares by contender and condition.
+    axis: Axes, values: Array, rows: Sequence[str], columns: Sequence[str], *, words: npt.ArrayLike | None = None
+) -> None:
+    """Draw shares ``(n, m)`` on colours, such as by contender and condition, where they are not NaN.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture.
-    values : ndarray (n, m)
-        NaN where there is none.
-    rows, columns : sequence of str
-        What they are of; long names of columns stand aslant.
-    words : array_like (n, m) of str, optional
-        What stands in the cells; left out, the values in percent.
-    limits : (float, float)
-        The values at the ends of the colours.
-
-    Returns
-    -------
-    AxesImage
-        For ``figure.colorbar``.
+    Cells show ``words`` ``(n, m)``, left out the values in percent; long names of columns stand aslant.
     """
-    image = axis.imshow(values, vmin=limits[0], vmax=limits[1], cmap="cividis", aspect="auto")
+    axis.imshow(values, vmin=0.0, vmax=1.0, cmap="cividis", aspect="auto")
     for (i, j), value in np.ndenumerate(values):
         if np.isfinite(value):
-            colour = "k" if value > limits[0] + 0.45 * (limits[1] - limits[0]) else "w"  # readable on either end
             text = f"{100 * value:.0f}" if words is None else str(np.asarray(words)[i, j])
-            axis.text(j, i, text, ha="center", va="center", fontsize=7.5, color=colour)
+            axis.text(j, i, text, ha="center", va="center", fontsize=7.5, color="k" if value > 0.45 else "w")
     aslant: dict[str, Any] = {"rotation": 35, "ha": "right", "rotation_mode": "anchor"}
     axis.set_xticks(range(len(columns)), list(columns), **aslant if max(map(len, columns), default=0) > 6 else {})
     axis.set_yticks(range(len(rows)), list(rows))
     axis.tick_params(length=0)
     axis.grid(visible=False)
-    return image
 
 
 def force_trace(
@@ -357,22 +234,7 @@ def force_trace(
 ) -> None:
     """Draw a force over time as the steps it is held for, and where it ended if that is before the picture does.
 
-    Parameters
-    ----------
-    axis : Axes
-        The picture.
-    force : array_like (T,)
-        N; NaN, or nothing, after the end of the run.
-    sample_time : float
-        s.
-    seconds : float
-        How much of it is shown.
-    colour : str
-        Its colour.
-    title : str
-        What stands above it.
-    limit : float
-        The greatest force, N.
+    The force ``(T,)`` is NaN, or nothing, after the end of the run; ``limit`` is the greatest, N.
     """
     u = np.asarray(force, dtype=np.float64)
     u = u[np.isfinite(u)]
@@ -383,3 +245,16 @@ def force_trace(
         axis.text(time[-1] + 0.02 * seconds, 0, "ended", va="center", fontsize=7.5)
     axis.set(xlim=(0, seconds), ylim=(-1.15 * limit, 1.15 * limit), yticks=(-limit, 0, limit))
     axis.set_title(title, fontsize=7.5, loc="left", pad=2)
+
+
+def force_traces(
+    axes: Mapping[str, Axes], traces: Mapping[str, tuple[Array, Style]], sample_time: float, seconds: float
+) -> None:
+    """Draw forces one below the other by title, with labels at the lowest and at the middle one alone."""
+    titles = list(traces)
+    for title, (force, (colour, _, _)) in traces.items():
+        force_trace(axes[title], force, sample_time, seconds, colour, title)
+        axes[title].tick_params(labelbottom=title == titles[-1])
+    if titles:
+        axes[titles[-1]].set_xlabel("time (s)")
+        axes[titles[len(titles) // 2]].set_ylabel("force on the cart (N)")

@@ -18,16 +18,11 @@ _AIR = 2.0  # pixels around a label
 _POINT = 7.0  # pixels that a marker takes to each side
 _LIKELY = 800  # of those places, the cheapest, whose lines are looked at
 _CROSSED, _COVERED = 300.0, 1e6  # pixels that a line over a line or marker counts as, and anything over a label
+_SIDES = np.array([-1.0, -1.0, 1.0, 1.0])  # a box is (x0, y0, x1, y1)
 
 
 def place_labels(
-    axis: Axes,
-    x: npt.ArrayLike,
-    y: npt.ArrayLike,
-    labels: list[str],
-    *,
-    avoid: Array | None = None,
-    size: float = 7,
+    axis: Axes, x: npt.ArrayLike, y: npt.ArrayLike, labels: list[str], *, avoid: Array | None = None, size: float = 7
 ) -> None:
     """Write each label as near to its point as there is room, and draw a thin line between the two.
 
@@ -53,23 +48,17 @@ def place_labels(
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
     points = axis.transData.transform(np.column_stack([x, y]))
-    markers = [np.array([px - _POINT, px + _POINT, py - _POINT, py + _POINT]) for px, py in points]
-    boxes = []
-    for left, right, low, high in [] if avoid is None else avoid:
-        (x0, y0), (x1, y1) = axis.transData.transform([(left, low), (right, high)])
-        boxes.append(np.array([x0, x1, y0, y1]))
-    texts = [
-        axis.text(0, 0, label, fontsize=size, ha="center", va="center", zorder=5, path_effects=[_HALO])
-        for label in labels
-    ]
+    corners = np.zeros((0, 2)) if avoid is None else np.asarray(avoid)[:, [0, 2, 1, 3]].reshape(-1, 2)
+    boxes = axis.transData.transform(corners).reshape(-1, 4)
+    words = {"fontsize": size, "ha": "center", "va": "center", "zorder": 5, "path_effects": [_HALO]}
+    texts = [axis.text(0, 0, label, **words) for label in labels]
     for text in texts:
         text.set_in_layout(False)
     extents = [text.get_window_extent(renderer) for text in texts]
     halves = np.array([[extent.width, extent.height] for extent in extents]) / 2 + _AIR
-    frame = axis.get_window_extent(renderer)
+    frame = np.array(axis.get_window_extent(renderer).extents)
     order = np.argsort(points[:, 0], kind="stable")
-    tries = [_placed(points, halves, markers, boxes, (frame.x0, frame.x1, frame.y0, frame.y1), way)
-             for way in (order, order[::-1])]  # fmt: skip
+    tries = [_placed(points, halves, boxes, frame, way) for way in (order, order[::-1])]
     centres, ends, _ = min(tries, key=lambda tried: tried[2])
     to_data = axis.transData.inverted().transform
     for text, point, centre, end in zip(texts, points, centres, ends, strict=True):
@@ -80,26 +69,21 @@ def place_labels(
 
 
 def _placed(
-    points: Array,
-    halves: Array,
-    markers: list[Array],
-    boxes: list[Array],
-    frame: tuple[float, float, float, float],
-    order: npt.NDArray[np.int64],
+    points: Array, halves: Array, boxes: Array, frame: Array, order: npt.NDArray[np.int64]
 ) -> tuple[Array, Array, float]:
     """Place labels in some order, each where it costs least: their centres, the ends of their lines, and the cost."""
+    markers = np.tile(points, 2) + _POINT * _SIDES
     middles, ends, total = np.zeros_like(points), np.zeros_like(points), 0.0
     placed: list[Array] = []
     lines: list[Array] = []
     for k in order:
         point, half = points[k], halves[k]
-        across = np.arange(frame[0] + half[0], frame[1] - half[0], _STEP)
-        up = np.arange(frame[2] + half[1], frame[3] - half[1], _STEP)
+        across, up = (np.arange(frame[i] + half[i], frame[i + 2] - half[i], _STEP) for i in (0, 1))
         centres = np.stack(np.meshgrid(across, up), axis=-1).reshape(-1, 2)
         tips = np.clip(point, centres - half, centres + half)
         cost = np.hypot(*(tips - point).T)
         for box in (*markers, *boxes, *placed):
-            cost += _COVERED * _overlap(centres, half, box)
+            cost += _COVERED * _inside(centres, box + np.tile(half, 2) * _SIDES)
         likely = np.argsort(cost, kind="stable")[:_LIKELY]
         centres, tips, cost = centres[likely], tips[likely], cost[likely]
         along = point + (tips - point)[:, None] * _ALONG
@@ -107,33 +91,21 @@ def _placed(
             cost += _CROSSED * _inside(along, box).any(axis=1)
         for box in placed:
             cost += _COVERED * _inside(along, box).any(axis=1)
-        for line in lines:
-            cost += _CROSSED * _cross(point, tips, line[0], line[1])
-            cost += _COVERED * _cross_box(centres, half, line)
+        for first, second in lines:
+            cost += _CROSSED * _cross(point, tips, first, second)
+            others = first + (second - first) * _ALONG
+            cost += _COVERED * (np.abs(others[:, None] - centres) < half).all(axis=-1).any(axis=0)
         best = int(np.argmin(cost))
         total += float(cost[best])
         middles[k], ends[k] = centres[best], tips[best]
-        placed.append(np.stack([centres[best] - half, centres[best] + half]).T.ravel())
+        placed.append(np.tile(centres[best], 2) + np.tile(half, 2) * _SIDES)
         lines.append(np.array([point, tips[best]]))
     return middles, ends, total
 
 
-def _overlap(centres: Array, half: Array, box: Array) -> npt.NDArray[np.bool_]:
-    """Return which labels ``(n, 2)`` of one size meet a box."""
-    low, high = centres - half, centres + half
-    return (low[:, 0] < box[1]) & (high[:, 0] > box[0]) & (low[:, 1] < box[3]) & (high[:, 1] > box[2])
-
-
 def _inside(places: Array, box: Array) -> npt.NDArray[np.bool_]:
     """Return which places ``(..., 2)`` lie in a box."""
-    x, y = places[..., 0], places[..., 1]
-    return (x > box[0]) & (x < box[1]) & (y > box[2]) & (y < box[3])
-
-
-def _cross_box(centres: Array, half: Array, line: Array) -> npt.NDArray[np.bool_]:
-    """Return which labels ``(n, 2)`` of one size a line would run through."""
-    along = line[0] + (line[1] - line[0]) * _ALONG
-    return (np.abs(along[:, None] - centres) < half).all(axis=-1).any(axis=0)
+    return np.asarray(((places > box[:2]) & (places < box[2:])).all(axis=-1))
 
 
 def _cross(start: Array, ends: Array, first: Array, second: Array) -> npt.NDArray[np.bool_]:
@@ -143,6 +115,5 @@ def _cross(start: Array, ends: Array, first: Array, second: Array) -> npt.NDArra
         u, v = b - a, c - a
         return np.sign(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
-    return (side(start, ends, first) * side(start, ends, second) < 0) & (
-        side(first, second, start) * side(first, second, ends) < 0
-    )
+    apart = side(start, ends, first) * side(start, ends, second) < 0
+    return apart & (side(first, second, start) * side(first, second, ends) < 0)

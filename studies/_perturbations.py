@@ -1,8 +1,7 @@
 """How a rig is perturbed: RealAIGym's six axes of robustness, plants wrong in everything at once, real sensors.
 
-The rig is the one that all contenders believe in, :data:`~studies._field.RIG`, and is changed without their knowledge.
-Every contender is evaluated from the same starts, with the same noise and the same pushes; fewer starts or plants are
-the first of more.
+The rig is changed without the knowledge of the contenders, which believe in :data:`~studies._field.RIG`; they have the
+same starts, noise and pushes; fewer starts or plants are the first of more.
 
 Source of the axes: the robustness leaderboard (v2) of F. Wiebe et al., *Open Source Dual-Purpose Acrobot and Pendubot
 Platform*, 2023, as its code has them (GitHub dfki-ric-underactuated-lab/double_pendulum).  Torques of its 6 N m motors
@@ -11,7 +10,7 @@ became forces of ours in the ratio of the limits, 40 N to 6 N m.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,47 +35,31 @@ Change = Callable[[Array], dict[str, Any]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Axis:
-    """One way in which a rig gets worse, level by level.
-
-    Attributes
-    ----------
-    name : str
-        What it is called.
-    group : str
-        Which of RealAIGym's six it belongs to; "nominal" for none of them, "sensors" for those beyond.
-    levels : tuple of float
-        Increasing, the nominal one left out.
-    changes : callable
-        What a level does to the rig.
-    words : str
-        What the levels are, with their unit.
-    pulses : bool
-        Whether pushes grow with the level.
-    theirs : float
-        Least magnitude that is in RealAIGym's lists too.
-    """
+    """One way in which a rig gets worse, level by level."""
 
     name: str
     group: str
+    """Which of RealAIGym's six it belongs to; "nominal" for none of them, "sensors" for those beyond."""
     levels: tuple[float, ...]
+    """Increasing, the nominal one left out."""
     changes: Change = lambda levels: {}
     words: str = ""
+    """What the levels are, with their unit."""
     pulses: bool = False
+    """Whether pushes grow with the level."""
     theirs: float = 0.0
+    """Least magnitude that is in RealAIGym's lists too."""
 
-
-# ------------------------------------------------------------------------------------------------ RealAIGym's six axes
 
 _ERRORS = (-0.25, -0.17, -0.08, 0.08, 0.17, 0.25)
 _TORQUE_TO_FORCE = float(RIG.force_limit) / 6.0
 FRICTIONS = {
     "cart_friction": 0.1 * _TORQUE_TO_FORCE,  # N s/m
-    "joint1_friction": 0.1,
+    "joint1_friction": 0.1,  # N m s
     "joint2_friction": 0.1,
-    "cart_coulomb": 0.2 * _TORQUE_TO_FORCE,
+    "cart_coulomb": 0.2 * _TORQUE_TO_FORCE,  # N
 }
-"""Frictions and their greatest values, N s/m, N m s and N; the rig has none, and RealAIGym's negative ones are left
-out."""
+"""Frictions and their greatest values, of which the rig has none; RealAIGym's negative ones are left out."""
 
 
 def _resolved(params: dpend.Params) -> dict[str, float]:
@@ -103,17 +86,8 @@ def _friction(name: str) -> Change:
 def lag(response: npt.ArrayLike) -> Array:
     r"""Return the time constant, s, with which a force moves by a share :math:`k` of what is missing in each sample.
 
-    RealAIGym's :math:`u = u_- + k\,(u_\text{des} - u_-)` is :math:`k = 1 - e^{-T/\tau}`.
-
-    Parameters
-    ----------
-    response : array_like
-        :math:`k`, above 0, at most 1, which is no lag.
-
-    Returns
-    -------
-    ndarray
-        :math:`\tau = -T/\ln(1 - k)`.
+    RealAIGym's :math:`u = u_- + k\,(u_\text{des} - u_-)`, with :math:`k` above 0 and at most 1, which is no lag, is
+    :math:`k = 1 - e^{-T/\tau}`: :math:`\tau = -T/\ln(1 - k)`.
     """
     missing = 1 - np.asarray(response, dtype=np.float64)
     with np.errstate(divide="ignore"):
@@ -134,26 +108,16 @@ AXES: tuple[Axis, ...] = (
         Axis(name=name, group="model", levels=tuple(most * np.arange(1, 7) / 6), changes=_friction(name), words=words)
         for (name, most), words in zip(FRICTIONS.items(), ("N s/m", "N m s", "N m s", "N"), strict=True)
     ),
-    Axis(
-        name="velocity noise", group="velocity noise", levels=(0.1, 0.2, 0.3, 0.4, 0.5),
-        changes=lambda levels: {"sensor_noise": levels[..., None] * _RATES}, words="noise of rates, σ (m/s, rad/s)",
-    ),
-    Axis(
-        name="force noise", group="force noise", levels=tuple(1.1 * _TORQUE_TO_FORCE * np.arange(1, 6) / 5),
-        changes=lambda levels: {"force_noise": levels}, words="noise of the force, σ (N)",
-    ),
-    Axis(
-        name="response", group="response", levels=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
-        changes=lambda levels: {"actuator_lag": lag(1 - levels)}, words="force missing after a sample, 1 − k",
-    ),
-    Axis(
-        name="delay", group="delay", levels=(1.0, 2.0),
-        changes=lambda levels: {"sensor_delay": np.rint(levels).astype(np.int64)}, words="delay (samples of 20 ms)",
-    ),
-    Axis(
-        name="pulses", group="pulses", levels=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
-        words="pulses, share of 33 N and 5 N m", pulses=True, theirs=0.1,
-    ),
+    Axis(name="velocity noise", group="velocity noise", levels=(0.1, 0.2, 0.3, 0.4, 0.5),
+         changes=lambda levels: {"sensor_noise": levels[..., None] * _RATES}, words="noise of rates, σ (m/s, rad/s)"),
+    Axis(name="force noise", group="force noise", levels=tuple(1.1 * _TORQUE_TO_FORCE * np.arange(1, 6) / 5),
+         changes=lambda levels: {"force_noise": levels}, words="noise of the force, σ (N)"),
+    Axis(name="response", group="response", levels=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
+         changes=lambda levels: {"actuator_lag": lag(1 - levels)}, words="force missing after a sample, 1 − k"),
+    Axis(name="delay", group="delay", levels=(1.0, 2.0),
+         changes=lambda levels: {"sensor_delay": np.rint(levels).astype(np.int64)}, words="delay (samples of 20 ms)"),
+    Axis(name="pulses", group="pulses", levels=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
+         words="pulses, share of 33 N and 5 N m", pulses=True, theirs=0.1),
 )  # fmt: skip
 """RealAIGym's: one parameter wrong at a time, noise of measured rates, noise of the force, slow force, late
 measurements, pushes; the rig's nominal level left out."""
@@ -170,14 +134,7 @@ class Pulses:
     r"""Six Gaussian pushes a run, :math:`\pm A e^{-(t-\mu)^2/2\sigma^2}`, two each on cart, link 1 and link 2.
 
     Of one start the moments, at least 1 s apart within 1 and 9 s, the widths, :math:`\sigma \sim U[0.05, 0.1]` s, and
-    the signs are the same at every level and for every contender.
-
-    Parameters
-    ----------
-    starts : int
-        Starts.
-    seed : int
-        What they are drawn from, start by start.
+    the signs are the same at every level and for every contender; the seed is what they are drawn from, start by start.
     """
 
     def __init__(self, starts: int, seed: int) -> None:
@@ -217,93 +174,39 @@ def _starts(task: Balance | SwingUp, n: int, seed: int) -> Array:
 
 
 def evaluate(controller: Controller, task: Balance | SwingUp, axis: Axis, starts: int, seed: int) -> Array:
-    """Return where a controller succeeds at every level of an axis, from every start.
+    """Return where a controller made for the nominal rig succeeds, ``(starts, levels)``, at every level of an axis.
 
-    Parameters
-    ----------
-    controller : Controller
-        Made for the nominal rig.
-    task : Balance or SwingUp
-        What is to be done.
-    axis : Axis
-        What is done to the rig.
-    starts : int
-        How many starts; fewer are the first of more.
-    seed : int
-        What starts, noise and pushes are drawn from.
-
-    Returns
-    -------
-    ndarray (starts, levels)
-        One where it succeeded, else zero.
+    Starts, noise and pushes are drawn from the seed; fewer starts are the first of more.
     """
     levels = np.array(axis.levels)
     rows = np.tile(levels, starts)  # all levels of the first start come first
     push = Pulses(starts, seed).pushing(levels) if axis.pulses else None
     runs = dpend.simulate_many(
-        RIG.replace(**axis.changes(rows)),
-        controller,
-        np.repeat(_starts(task, starts, seed), len(levels), axis=0),
-        task=task,
-        push=push,
-        seed=seed,
-    )
+        RIG.replace(**axis.changes(rows)), controller, np.repeat(_starts(task, starts, seed), len(levels), axis=0),
+        task=task, push=push, seed=seed,
+    )  # fmt: skip
     return runs.success.reshape(starts, len(levels)).astype(np.float64)
 
 
 def measure(controller: Controller, task: TaskName, starts: int = 20, seed: int = 0) -> dict[str, Array]:
-    """Return where a controller succeeds on the nominal rig and along RealAIGym's six axes.
-
-    Parameters
-    ----------
-    controller : Controller
-        Made for the nominal rig.
-    task : {"balance", "swing-up"}
-        What is to be done.
-    starts : int
-        Starts of each level.
-    seed : int
-        What starts, noise and pushes are drawn from.
-
-    Returns
-    -------
-    dict
-        Outcomes ``(starts, levels)`` by the name of the axis, for :func:`score`.
-    """
+    """Return outcomes ``(starts, levels)`` on the nominal rig and along RealAIGym's six axes, by the axis' name."""
     return {axis.name: evaluate(controller, task_of(task), axis, starts, seed) for axis in (NOMINAL, *AXES)}
 
 
-def of_groups(outcomes: Mapping[str, Array], axes: Iterable[Axis] = AXES) -> dict[str, Array]:
+def of_groups(outcomes: Mapping[str, Array]) -> dict[str, Array]:
     """Return the outcomes of each of the six side by side: ``(starts, settings)`` by group."""
-    grouped: dict[str, list[Array]] = {}
-    for axis in axes:
-        grouped.setdefault(axis.group, []).append(outcomes[axis.name])
-    return {group: np.concatenate(arrays, axis=1) for group, arrays in grouped.items()}
+    axes = {group: [outcomes[axis.name] for axis in AXES if axis.group == group] for group in GROUPS}
+    return {group: np.concatenate(arrays, axis=1) for group, arrays in axes.items()}
 
 
 def score(outcomes: Mapping[str, Array]) -> Estimate:
-    """Return one number for robustness: success in perturbed settings, the mean over the six axes.
+    """Return one number for robustness: success in perturbed settings, the mean over the six axes; nominal left out.
 
-    Parameters
-    ----------
-    outcomes : mapping
-        Outcomes ``(starts, levels)`` by the name of the axis; what :func:`measure` returns.
-
-    Returns
-    -------
-    Estimate
-        The nominal level is not counted.  The interval is Student's over starts, or Wilson's of all runs where that is
-        wider.
-
-    Raises
-    ------
-    KeyError
-        If an axis is missing.
+    It takes what :func:`measure` returns; a KeyError if an axis is missing.  The interval is Student's over starts, or
+    Wilson's of all runs where that is wider.
     """
-    groups = of_groups(outcomes)
-    return mean_share(
-        np.mean([of.mean(axis=1) for of in groups.values()], axis=0), sum(of.size for of in groups.values())
-    )
+    groups = of_groups(outcomes).values()
+    return mean_share(np.mean([of.mean(axis=1) for of in groups], axis=0), sum(of.size for of in groups))
 
 
 def realaigym(outcomes: Mapping[str, Array]) -> float:
@@ -311,28 +214,13 @@ def realaigym(outcomes: Mapping[str, Array]) -> float:
 
     A setting counts whole if more than half of its runs succeed, and the mean is over the six axes.  The nominal level
     counts as one setting of 21 where RealAIGym has it in its lists, which is in all but the response and the pulses.
-
-    Parameters
-    ----------
-    outcomes : mapping
-        Outcomes ``(starts, levels)`` by the name of the axis; what :func:`measure` returns.
-
-    Returns
-    -------
-    float
-        Within 0 and 1.
     """
     won = float(outcomes[NOMINAL.name].mean() > 0.5)
-    within = {axis.name: outcomes[axis.name][:, np.abs(axis.levels) >= axis.theirs - 1e-12] for axis in AXES}
-    shares = {group: float((of.mean(axis=0) > 0.5).mean()) for group, of in of_groups(within).items()}
-    return float(
-        np.mean(
-            [share if group in ("response", "pulses") else (20 * share + won) / 21 for group, share in shares.items()]
-        )
-    )
+    theirs = {axis.name: outcomes[axis.name][:, np.abs(axis.levels) >= axis.theirs - 1e-12] for axis in AXES}
+    shares = {group: float((of.mean(axis=0) > 0.5).mean()) for group, of in of_groups(theirs).items()}
+    plain = ("response", "pulses")
+    return float(np.mean([share if of in plain else (20 * share + won) / 21 for of, share in shares.items()]))
 
-
-# ------------------------------------------------------------------------------------------ wrong in everything at once
 
 WITHIN = 0.2
 """By how much everything may be wrong at once, as a share."""
@@ -343,23 +231,11 @@ UNCERTAIN = (*_FACTORS, *FRICTIONS)
 
 
 def plants(n: int, seed: int) -> dict[str, Array]:
-    r"""Return plants that are wrong in everything at once: a scrambled Sobol sequence.
+    r"""Return plants that are wrong in everything at once, arrays ``(n,)`` by the names of :data:`UNCERTAIN`.
 
     Masses, lengths and the force limit are within a fifth of what is believed; the centres within a fifth of the
     middle of their link; the inertias are those of the links as rods, :math:`m L^2/12`; and frictions are anything
-    from zero up.
-
-    Parameters
-    ----------
-    n : int
-        How many; a power of two, which a Sobol sequence covers evenly.
-    seed : int
-        What the scrambling is drawn from.
-
-    Returns
-    -------
-    dict
-        Arrays ``(n,)`` by the names of :data:`UNCERTAIN`, for :meth:`~dpend.Rig.replace`.
+    from zero up.  It is a scrambled Sobol sequence, which covers evenly where ``n`` is a power of two.
     """
     points = stats.qmc.Sobol(len(UNCERTAIN), rng=np.random.default_rng([seed, 3])).random(n)
     drawn = dict(zip(UNCERTAIN, points.T, strict=True))
@@ -371,46 +247,19 @@ def plants(n: int, seed: int) -> dict[str, Array]:
 
 
 def evaluate_on_plants(controller: Controller, task: Balance | SwingUp, n: int, starts: int, seed: int) -> Array:
-    """Return where a controller that is made for the nominal rig succeeds on plants.
+    """Return where a controller made for the nominal rig succeeds on plants, ``(n, starts)``.
 
-    Parameters
-    ----------
-    controller : Controller
-        Made for the nominal rig.
-    task : Balance or SwingUp
-        What is to be done.
-    n : int
-        How many plants, a power of two; fewer are the first of more.
-    starts : int
-        Starts on each plant, others on each.
-    seed : int
-        What plants and starts are drawn from.
-
-    Returns
-    -------
-    ndarray (n, starts)
-        One where it succeeded, else zero.
+    ``n`` is a power of two, and fewer are the first of more; the starts on each plant are others.
     """
     rig = RIG.replace(**{name: np.repeat(values, starts) for name, values in plants(n, seed).items()})
     x0 = _starts(task, n * starts, seed)  # those of the first plant come first
     return dpend.simulate_many(rig, controller, x0, task=task, seed=seed).success.reshape(n, starts).astype(np.float64)
 
 
-# -------------------------------------------------------------------------------------------------------------- sensors
-
-
 def encoders(counts: npt.ArrayLike) -> Array:
-    """Return the steps of encoders of so many counts a turn; the cart's sits on a pulley of 0.2 m a turn.
+    """Return the steps of encoders, m and rad, of so many counts a turn: infinite for no rounding, as rates have none.
 
-    Parameters
-    ----------
-    counts : array_like
-        Counts a turn; infinite for no rounding.
-
-    Returns
-    -------
-    ndarray (6,)
-        Steps in m and rad; rates are not rounded.
+    The cart's sits on a pulley of 0.2 m a turn.
     """
     return np.array([0.2, 2 * np.pi, 2 * np.pi, 0, 0, 0]) / np.asarray(counts, dtype=np.float64)
 
@@ -418,22 +267,14 @@ def encoders(counts: npt.ArrayLike) -> Array:
 _FINE = {"resolution": encoders(2048)}
 
 SENSORS: tuple[Axis, ...] = (
-    Axis(
-        name="noise", group="sensors", levels=(0.002, 0.005, 0.01, 0.02, 0.05),
-        changes=lambda levels: {"sensor_noise": levels * _POSITIONS}, words="noise of positions, σ (m, rad)",
-    ),
-    Axis(
-        name="encoders", group="sensors", levels=tuple(1 / counts for counts in (1024, 256, 128, 64, 32)),
-        changes=lambda levels: {"resolution": encoders(1 / levels)}, words="counts a turn",
-    ),
-    Axis(
-        name="delay", group="sensors", levels=(1.0, 2.0, 3.0),
-        changes=lambda levels: _FINE | {"sensor_delay": round(float(levels))}, words="delay (samples of 20 ms)",
-    ),
-    Axis(
-        name="lag", group="sensors", levels=(0.4, 0.6, 0.7, 0.8),
-        changes=lambda levels: _FINE | {"actuator_lag": float(lag(1 - levels))}, words="force missing (1 − k)",
-    ),
+    Axis(name="noise", group="sensors", levels=(0.002, 0.005, 0.01, 0.02, 0.05),
+         changes=lambda levels: {"sensor_noise": levels * _POSITIONS}, words="noise of positions, σ (m, rad)"),
+    Axis(name="encoders", group="sensors", levels=tuple(1 / counts for counts in (1024, 256, 128, 64, 32)),
+         changes=lambda levels: {"resolution": encoders(1 / levels)}, words="counts a turn"),
+    Axis(name="delay", group="sensors", levels=(1.0, 2.0, 3.0),
+         changes=lambda levels: _FINE | {"sensor_delay": round(float(levels))}, words="delay (samples of 20 ms)"),
+    Axis(name="lag", group="sensors", levels=(0.4, 0.6, 0.7, 0.8),
+         changes=lambda levels: _FINE | {"actuator_lag": float(lag(1 - levels))}, words="force missing (1 − k)"),
 )  # fmt: skip
 """Noise of the measured positions; rounding by encoders; and, with encoders of 2048 counts, delay and a slow force."""
 
@@ -460,27 +301,9 @@ def views(axis: Axis) -> tuple[str, ...]:
 def evaluate_with_sensors(
     controller: Controller, task: Balance | SwingUp, axis: Axis, view: str, starts: int, seed: int
 ) -> Array:
-    """Return where a controller succeeds at every level of a sensor axis, through one of the views.
+    """Return where a controller succeeds, ``(starts, levels)``, at every level of a sensor axis through one view.
 
-    Parameters
-    ----------
-    controller : Controller
-        Made for the nominal rig.
-    task : Balance or SwingUp
-        What is to be done.
-    axis : Axis
-        One of :data:`SENSORS`.
-    view : str
-        One of :data:`VIEWS`.
-    starts : int
-        Starts of each level.
-    seed : int
-        What starts and noise are drawn from: the same at every level and for every view.
-
-    Returns
-    -------
-    ndarray (starts, levels)
-        One where it succeeded, else zero.
+    Starts and noise are drawn from the seed: the same at every level and for every view.
     """
     x0 = _starts(task, starts, seed)
     columns = []

@@ -19,30 +19,17 @@ AnyArray = npt.NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """What a study found.
-
-    Attributes
-    ----------
-    rows : DataFrame
-        The number of each row's job, the job's plain fields, and what the job returned.
-    quick : bool
-        Whether it comes from a quick run, whose sizes are too small to mean much.
-    by_job : mapping of int to mapping of str to ndarray
-        Arrays by number of their job and by name.
-    """
+    """What a study found."""
 
     rows: pd.DataFrame
+    """The number of each row's job, the job's plain fields, and what the job returned."""
     quick: bool = False
+    """Whether it comes from a quick run, whose sizes are too small to mean much."""
     by_job: Mapping[int, Mapping[str, AnyArray]] = field(default_factory=dict)
+    """Arrays by number of their job and by name."""
 
     def where(self, **fields: Any) -> pd.DataFrame:
-        """Return the rows in which columns have given values.
-
-        Raises
-        ------
-        KeyError
-            If there is no such column.
-        """
+        """Return the rows in which columns have given values; a KeyError if there is no such column."""
         return where(self.rows, **fields)
 
     def lines(self, **fields: Any) -> Iterable[Any]:
@@ -50,26 +37,12 @@ class Table:
         return self.where(**fields).itertuples(index=False, name="Line")
 
     def arrays(self, name: str, /, **fields: Any) -> list[AnyArray]:
-        """Return the arrays of one name, one for each job that has it, in order.
-
-        Parameters
-        ----------
-        name : str
-            Their name.
-        **fields
-            Values of columns by which jobs are chosen; left out, all.
-        """
+        """Return the arrays of one name in the order of their jobs, of those where columns have given values."""
         jobs = self.where(**fields)["job"].unique()
         return [self.by_job[job][name] for job in jobs if name in self.by_job.get(job, {})]
 
     def array(self, name: str, /, **fields: Any) -> AnyArray:
-        """Return the only array of a name among the chosen jobs.
-
-        Raises
-        ------
-        KeyError
-            If there is none, or more than one.
-        """
+        """Return the only array of a name among the chosen jobs; a KeyError if there is none, or more than one."""
         found = self.arrays(name, **fields)
         if len(found) != 1:
             raise KeyError(f"Expected one array {name!r} where {fields}; there are {len(found)}.")
@@ -77,13 +50,7 @@ class Table:
 
 
 def where(rows: pd.DataFrame, **fields: Any) -> pd.DataFrame:
-    """Return the rows of a frame in which columns have given values.
-
-    Raises
-    ------
-    KeyError
-        If there is no such column.
-    """
+    """Return the rows of a frame in which columns have given values; a KeyError if there is no such column."""
     chosen = np.ones(len(rows), dtype=bool)
     for column, value in fields.items():
         chosen &= (rows[column] == value).to_numpy()
@@ -91,23 +58,10 @@ def where(rows: pd.DataFrame, **fields: Any) -> pd.DataFrame:
 
 
 def save(table: Table, folder: Path, meta: Mapping[str, Any]) -> None:
-    """Write a table to a folder, each file to its end or not at all.
+    """Write a table to a folder that exists, each file to its end or not at all.
 
-    Parameters
-    ----------
-    table : Table
-        The table; each column of one kind: words, truth values or numbers.
-    folder : Path
-        The folder, which exists.
-    meta : mapping
-        What stands in ``meta.json`` beside the types of the columns.
-
-    Raises
-    ------
-    TypeError
-        If a column mixes kinds, so that it would not be read back as it is.
-    OSError
-        If a file cannot be written.
+    ``meta`` stands in ``meta.json`` beside the types of the columns; a column that mixes words, truth values and
+    numbers, so that it would not be read back as it is, is a TypeError.
     """
     columns = {column: str(kind) for column, kind in table.rows.dtypes.items()}
     gaps = {column for column in columns if table.rows[column].isna().to_numpy().any()}
@@ -124,13 +78,7 @@ def save(table: Table, folder: Path, meta: Mapping[str, Any]) -> None:
 
 
 def load(folder: Path) -> Table:
-    """Return the table in a folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Where :func:`save` wrote it.
-    """
+    """Return the table that :func:`save` wrote to a folder."""
     meta = json.loads((folder / "meta.json").read_text(encoding="utf-8"))
     by_job: dict[int, dict[str, AnyArray]] = {}
     with np.load(folder / "arrays.npz", allow_pickle=False) as stored:
@@ -141,15 +89,7 @@ def load(folder: Path) -> Table:
 
 
 def read_rows(file: Path, columns: Mapping[str, str] | None = None) -> pd.DataFrame:
-    """Return the rows of a table, exactly as they were.
-
-    Parameters
-    ----------
-    file : Path
-        ``rows.csv``.
-    columns : mapping of str to str, optional
-        Types of columns; left out, as the values look.
-    """
+    """Return the rows in ``rows.csv``, exactly as they were; without types of columns, as the values look."""
     return pd.read_csv(
         file,
         dtype=cast(Any, columns),

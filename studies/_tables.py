@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import html
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
+from itertools import accumulate
 from numbers import Integral
+from string import Template
 from typing import Any
 
 import pandas as pd
@@ -26,49 +29,31 @@ _AIR = 2  # letters between columns there
 
 @dataclass(frozen=True)
 class Column:
-    """One column.
-
-    Attributes
-    ----------
-    heading : str
-        What stands above it, with its unit.
-    meaning : str
-        What it is, in a sentence.
-    group : str
-        What columns side by side belong to.
-    words : bool
-        Whether it holds words, not numbers.
-    brief : bool
-        Whether it is among those shown in a terminal, where there is no room for all.
-    """
+    """One column."""
 
     heading: str
+    """What stands above it, with its unit."""
     meaning: str = ""
+    """What it is, in a sentence."""
     group: str = ""
+    """What columns side by side belong to."""
     words: bool = False
+    """Whether it holds words, not numbers."""
     brief: bool = True
+    """Whether it is among those shown in a terminal, where there is no room for all."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One cell.
-
-    Attributes
-    ----------
-    text : str
-        What stands in it.
-    under : str
-        What stands smaller beside it, such as an interval.
-    key : float, optional
-        What it is sorted by, infinite where it lies beyond all; left out, its words.
-    share : float, optional
-        What a bar in it shows, 0 to 1.
-    """
+    """One cell."""
 
     text: str = "–"
     under: str = ""
+    """What stands smaller beside it, such as an interval."""
     key: float | None = None
+    """What it is sorted by, infinite where it lies beyond all; left out, its words."""
     share: float | None = None
+    """What a bar in it shows, 0 to 1."""
 
 
 Value = Cell | Estimate | float | int | str | None
@@ -77,24 +62,13 @@ Value = Cell | Estimate | float | int | str | None
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table; printed on a rich console, it is that of :func:`terminal`.
-
-    Attributes
-    ----------
-    title : str
-        What stands above it.
-    columns : sequence of Column
-        Its columns; the first names the line.
-    lines : sequence of sequence of Cell
-        Its lines, a cell for each column.
-    note : str
-        What stands below it.
-    """
+    """A table: its lines have a cell for each column; printed on a rich console, it is that of :func:`terminal`."""
 
     title: str
     columns: Sequence[Column]
     lines: Sequence[Sequence[Cell]]
     note: str = ""
+    """What stands below it."""
 
     def __post_init__(self) -> None:
         for line in self.lines:
@@ -108,20 +82,8 @@ class Sheet:
 def cell(value: Value, form: str = "", *, tried: Tried | None = None, bar: bool = False) -> Cell:
     """Return the cell of a value, with its interval below it where it has one, sorted by the value.
 
-    Parameters
-    ----------
-    value : Cell, Estimate, number, str or None
-        The value.
-    form : str
-        As of :func:`studies._estimates.number`; whole numbers are counts, which are written whole.
-    tried : (float, float), optional
-        As of :func:`studies._estimates.number`.
-    bar : bool
-        Whether a bar shows it, which must be a share.
-
-    Returns
-    -------
-    Cell
+    ``form`` and ``tried`` are as of :func:`studies._estimates.number`; a whole number is a count, which is written
+    whole.  With ``bar``, a bar shows the value, which must be a share.
     """
     if isinstance(value, Cell):
         return value
@@ -131,8 +93,8 @@ def cell(value: Value, form: str = "", *, tried: Tried | None = None, bar: bool 
         return Cell(f"{value:,}", key=float(value))
     estimate = value if isinstance(value, Estimate) else Estimate(float(value))
     text, under = estimate.written(form, tried)
-    known = not math.isnan(estimate.value)
-    return Cell(text, under, float(estimate.value) if known else None, float(estimate.value) if bar and known else None)
+    key = None if math.isnan(estimate.value) else float(estimate.value)
+    return Cell(text, under, key, key if bar else None)
 
 
 def sheet(
@@ -146,89 +108,37 @@ def sheet(
 ) -> Sheet:
     """Return the table of lines that are mappings from headings to values, or of a frame.
 
-    Parameters
-    ----------
-    title : str
-        What stands above it.
-    lines : DataFrame or iterable of mapping
-        Values by heading.  Headings come in the order in which they are met first; where a line lacks one, there is a
-        dash.  A column is of words where all its values are.
-    form : str or mapping
-        How numbers are written, see :func:`studies._estimates.number`: one form for all headings, or by heading.  Where
-        none is given, shares below headings that end in "%" are percentages with one decimal.
-    note : str
-        What stands below it.
-    tried : (float, float), optional
-        The least and the greatest level tried, of crossings.
-    brief : collection of str, optional
-        Headings of the columns that a terminal shows where there is no room for all; left out, the first of them.
-
-    Returns
-    -------
-    Sheet
+    Headings come in the order in which they are met first; where a line lacks one, there is a dash; a column in which
+    all are words is one of words.  One form for all numbers, or forms by heading, and the levels tried are as of
+    :func:`studies._estimates.number`; without a form, shares below headings that end in "%" are percentages with one
+    decimal.  A terminal shows the brief headings where there is no room for all; left out, the first.
     """
-    records: Sequence[Mapping[Any, Value]] = (
-        lines.to_dict("records") if isinstance(lines, pd.DataFrame) else list(lines)
-    )
+    records: Any = lines.to_dict("records") if isinstance(lines, pd.DataFrame) else list(lines)
     headings = list(dict.fromkeys(heading for record in records for heading in record))
-    forms = dict.fromkeys(headings, form) if isinstance(form, str) else dict(form)
-
-    def written(heading: str, value: Value) -> Cell:
-        chosen = forms.get(heading) or (".1%" if heading.endswith("%") else "")
-        return cell(value, chosen, tried=tried)
+    chosen = dict.fromkeys(headings, form) if isinstance(form, str) else form
+    forms = {each: chosen.get(each) or (".1%" if each.endswith("%") else "") for each in headings}
 
     def words(heading: str) -> bool:
         values = [record[heading] for record in records if record.get(heading) is not None]
         return all(isinstance(value, str) or (isinstance(value, Cell) and value.key is None) for value in values)
 
     columns = [Column(heading, words=words(heading), brief=brief is None or heading in brief) for heading in headings]
-    return Sheet(title, columns, [[written(each, record.get(each)) for each in headings] for record in records], note)
-
-
-# ------------------------------------------------------------------------------------------------------------ Markdown
+    body = [[cell(record.get(each), forms[each], tried=tried) for each in headings] for record in records]
+    return Sheet(title, columns, body, note)
 
 
 def markdown(table: Sheet) -> str:
-    """Return a table in Markdown, below its title and above its note.
-
-    Parameters
-    ----------
-    table : Sheet
-        The table.
-
-    Returns
-    -------
-    str
-    """
-
-    def row(cells: Iterable[str]) -> str:
-        return "| " + " | ".join(cells) + " |"
-
-    body = [
-        row(_plain(column.heading) for column in table.columns),
-        row("---" if column.words else "---:" for column in table.columns),
-        *(row(_plain(f"{each.text} {each.under}".strip()) for each in line) for line in table.lines),
-    ]
-    parts = [f"## {_plain(table.title)}", "\n".join(body), *([_plain(table.note)] if table.note else [])]
+    """Return a table in Markdown, below its title and above its note."""
+    body = [[_plain(column.heading) for column in table.columns]]
+    body += [["---" if column.words else "---:" for column in table.columns]]
+    body += [[_plain(f"{each.text} {each.under}".strip()) for each in line] for line in table.lines]
+    rows = "\n".join("| " + " | ".join(cells) + " |" for cells in body)
+    parts = [f"## {_plain(table.title)}", rows, *([_plain(table.note)] if table.note else [])]
     return "\n\n".join(parts) + "\n"
 
 
 def document(title: str, tables: Iterable[Sheet], before: str = "") -> str:
-    """Return a page of Markdown: tables one below the other, then what their columns mean.
-
-    Parameters
-    ----------
-    title : str
-        Title of the page.
-    tables : iterable of Sheet
-        The tables.
-    before : str
-        Markdown above them.
-
-    Returns
-    -------
-    str
-    """
+    """Return a page of Markdown: words in Markdown, tables one below the other, then what their columns mean."""
     shown = list(tables)
     columns = dict.fromkeys(column for table in shown for column in table.columns if column.meaning)
     meanings = "\n".join(f"- **{_plain(_named(column))}**: {_plain(column.meaning)}" for column in columns)
@@ -247,45 +157,26 @@ def _named(column: Column) -> str:
     return f"{column.group}: {column.heading}" if column.group else column.heading
 
 
-# ------------------------------------------------------------------------------------------------------------ terminal
-
-
 def terminal(table: Sheet, width: int = 80) -> Group:
-    """Return a table for a terminal: as many of its columns as fit with every number whole, six at most.
+    """Return a table for a terminal of a width in letters: the columns that fit with every number whole, six at most.
 
-    Parameters
-    ----------
-    table : Sheet
-        The table.
-    width : int
-        Letters in a line.
-
-    Returns
-    -------
-    rich.console.Group
-        What is left out is said below it.
+    What is left out is said below it.
     """
-    every = range(len(table.columns))
-    if len(every) > _FEW or sum(_letters(table, i) + _AIR for i in every) > width + _AIR:
-        every = [i for i in every if table.columns[i].brief]
-    chosen: list[int] = []
-    room = width + _AIR
-    for i in every[:_FEW]:
-        room -= _letters(table, i) + _AIR
-        if chosen and room < 0:
-            break
-        chosen.append(i)
-    left_out = len(table.columns) - len(chosen)
+    letters = [_letters(table, i) for i in range(len(table.columns))]
+    every, room = list(range(len(letters))), width + _AIR
+    if len(every) > _FEW or sum(letters) + _AIR * len(every) > room:
+        every = [i for i in every if table.columns[i].brief][:_FEW]
+    ends = accumulate(letters[i] + _AIR for i in every)
+    chosen = [i for i, end in zip(every, ends, strict=True) if i == every[0] or end <= room]
+    left_out = len(letters) - len(chosen)
     said = f"{left_out} more column{'s' * (left_out > 1)} in tables.md" if left_out else ""
     drawn = Table(box=SIMPLE_HEAD, padding=(0, 1), collapse_padding=True, pad_edge=False, show_edge=False)
     for i in chosen:
-        column, letters = table.columns[i], _letters(table, i)
-        justify = "left" if column.words else "right"
-        drawn.add_column(escape(column.heading), justify=justify, min_width=letters, max_width=letters, overflow="fold")
-    for line in table.lines:
-        drawn.add_row(
-            *(Text.assemble(line[i].text, (f"\n{line[i].under}" * bool(line[i].under), "dim")) for i in chosen)
-        )
+        whole: Any = {"min_width": letters[i], "max_width": letters[i], "overflow": "fold"}
+        column = table.columns[i]
+        drawn.add_column(escape(column.heading), justify="left" if column.words else "right", **whole)
+    for cells in ([line[i] for i in chosen] for line in table.lines):
+        drawn.add_row(*(Text.assemble(each.text, (f"\n{each.under}" * bool(each.under), "dim")) for each in cells))
     below = "; ".join(filter(None, (table.note, said)))
     return Group(Text(f"\n{table.title}", style="bold"), drawn, *([Text(below, style="italic")] if below else []))
 
@@ -300,34 +191,17 @@ def _letters(table: Sheet, i: int) -> int:
     return max(word, min(whole, _NAME))
 
 
-# ---------------------------------------------------------------------------------------------------------------- HTML
-
-
 def page(title: str, before: Sequence[str], table: Sheet) -> str:
     """Return a page that stands alone: a table, sorted by a press on a heading, and what its columns mean.
 
     Nothing is fetched from anywhere; without JavaScript the table is there all the same, in the order given.
-
-    Parameters
-    ----------
-    title : str
-        Title of the page.
-    before : sequence of str
-        Paragraphs above the table.
-    table : Sheet
-        The table.
-
-    Returns
-    -------
-    str
-        HTML.
+    ``before`` are paragraphs above it.
     """
     e, columns = html.escape, table.columns
     edges = {i for i, column in enumerate(columns) if i and column.group != columns[i - 1].group}
     groups = "".join(
-        f'<th scope="colgroup" colspan="{sum(column.group == group for column in columns)}" '
-        f'class="{"edge" if group else ""}"><span>{e(group)}</span></th>'
-        for group in dict.fromkeys(column.group for column in columns)
+        f'<th scope="colgroup" colspan="{n}" class="{"edge" if group else ""}"><span>{e(group)}</span></th>'
+        for group, n in Counter(column.group for column in columns).items()
     )
     headings = "".join(
         f'<th scope="col" class="{_kind(column, i in edges)}"><button title="{e(column.meaning)}">{e(column.heading)}'
@@ -340,39 +214,12 @@ def page(title: str, before: Sequence[str], table: Sheet) -> str:
     )
     meanings = "\n".join(f"<dt>{e(_named(column))}</dt><dd>{e(column.meaning)}</dd>" for column in columns)
     web = files("studies") / "web"
-    style, script = ((web / name).read_text(encoding="utf-8") for name in ("table.css", "table.js"))
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{e(title)}</title>
-<style>
-{style}</style>
-</head>
-<body>
-<h1>{e(title)}</h1>
-{"".join(f"<p>{e(paragraph)}</p>" for paragraph in (*before, *filter(None, [table.note])))}
-<div class="wide" tabindex="0" role="region" aria-label="{e(table.title)}">
-<table>
-<thead>
-<tr>{groups}</tr>
-<tr>{headings}</tr>
-</thead>
-<tbody>
-{body}
-</tbody>
-</table>
-</div>
-<h2>What the columns mean</h2>
-<dl>
-{meanings}
-</dl>
-<script>
-{script}</script>
-</body>
-</html>
-"""
+    template, style, script = ((web / f"table.{kind}").read_text(encoding="utf-8") for kind in ("html", "css", "js"))
+    paragraphs = "".join(f"<p>{e(paragraph)}</p>" for paragraph in (*before, *filter(None, [table.note])))
+    return Template(template).substitute(
+        title=e(title), label=e(table.title), style=style, script=script, paragraphs=paragraphs,
+        groups=groups, headings=headings, body=body, meanings=meanings,
+    )  # fmt: skip
 
 
 def _kind(column: Column, edge: bool) -> str:

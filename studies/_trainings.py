@@ -15,21 +15,13 @@ RUNS = Path("docs/results/deep")
 
 
 class Kept(NamedTuple):
-    """A training on disk.
-
-    Attributes
-    ----------
-    place : str
-        The file or folder of its recipe.
-    seed : int
-        Its seed.
-    content : str
-        A hash of what is there.
-    """
+    """A training on disk."""
 
     place: str
+    """The file or folder of its recipe."""
     seed: int
     content: str
+    """A hash of what is there."""
 
     def read(self) -> Training:
         """Return the training."""
@@ -37,17 +29,7 @@ class Kept(NamedTuple):
 
 
 def kept(runs: Path) -> dict[str, list[Kept]]:
-    """Return the trainings in a folder, by the names of their recipes, and of each by seed.
-
-    Parameters
-    ----------
-    runs : Path
-        As for :func:`rl.deep.kept_trainings`.
-
-    Returns
-    -------
-    dict
-    """
+    """Return the trainings in a folder by recipe, each by seed; see :func:`rl.deep.kept_trainings`."""
     found = {}
     for name, place in kept_trainings(runs).items():
         files = [place] if place.is_file() else sorted(place.glob("seed-*/[pcr]*.[ncj]*"))

@@ -1,23 +1,15 @@
 """Which deep learners swing the double pendulum up, and after how much experience?
 
-Method: every training in ``docs/results/deep`` (``--runs``) was made by ``python -m rl.train`` from zero knowledge; its
-policy was chosen on starts of its own.  Here each is evaluated on 1000 fresh starts on gustafsson2016: for the swing-up
-half hanging and half horizontal to the side, each angle within 0.05 rad, ten seconds, the last of them with both links
-within 0.2 rad of upright; for balancing θ1, θ2 ~ U[-0.3, 0.3] for 300 samples.  Each also balances from as many starts
-with θ1, θ2 ~ U[-0.1, 0.1], with perfect sensors and with noise of 0.002 (m, rad, m/s, rad/s) on every measured state.
-Intervals are 95 % over trainings.  Variation is the total variation of the force: over the last four seconds of the
-runs that succeed; while balancing from λ = 0.1, with perfect sensors and with noise; and over the last four seconds of
-the latter, when the start is forgotten.  Beside stands the least that any force can have in such 300 samples, by linear
-programming on the linearized plant.
+Method: the trainings in ``docs/results/deep`` (``--runs``, made by ``python -m rl.train``) on 1000 fresh starts on
+gustafsson2016.  Swing-up: half hanging, half horizontal, ±0.05 rad, ten seconds, the last of them within 0.2 rad of
+upright; balancing: λ = 0.3, 300 samples.  Each also balances from λ = 0.1, with perfect sensors and with noise of 0.002
+on every state.  Intervals are 95 % over trainings; variation is that of the force, beside it the least that any force
+can have on the linearized plant, by linear programming.
 
-Finding: PPO swings up 99.4 % [98.6, 100.0] of the starts (five trainings of at most 8 million steps, two minutes of
-processor time), and 100.0 % [99.9, 100.0] where its episodes began at rest alone (five of 2.6 to 3.9 million); DDPG
-100 % in four of five trainings of 180 000 to 280 000 steps, 97 % in the fifth.  At most 100 000 steps suffice four of
-five for 99.6 to 100 %, with mirrored transitions, short episodes and an update for every step.  TD3 and SAC, in JAX,
-learn it in one and two of five trainings of at most 500 000.  A penalty on changes of force near upright, learned with
-sensor noise and CAPS, keeps 99.7 % [99.0, 100.0] (four trainings) and has 0.25 of plain PPO's variation while it stands
-under noise; catching the start included 0.40, and with perfect sensors 1.57, where a third would be less than the least
-that any force can have.
+Finding: PPO swings up 99.4 % [98.6, 100.0] of the starts (five trainings, 8 million steps at most), 100.0 % [99.9,
+100.0] where episodes began at rest alone; DDPG 100 % in four of five of 180 000 to 280 000 steps, 97 % in the fifth,
+and after 100 000 four of five 99.6 to 100 %.  TD3 and SAC learn it in one and two of five.  A penalty on changes of
+force with CAPS keeps 99.7 % [99.0, 100.0] and has 0.25 of plain PPO's variation while it stands under noise.
 """
 
 from __future__ import annotations
@@ -40,7 +32,7 @@ from dpend.params import Array
 from rl.deep import evaluate, read_recipe
 
 from . import _runner
-from ._estimates import mean_share, median
+from ._estimates import mean_share
 from ._figures import facets, legend_above, palette, share_axis
 from ._runner import Report, Result, Table
 from ._tables import Value, sheet
@@ -64,10 +56,8 @@ _VARIATIONS = {
 class Options(_runner.Options):
     """Options of the command line."""
 
-    runs: Path = RUNS
-    """Folder of the trainings."""
-    starts: int = 1000
-    """Fresh starts on which each policy is evaluated."""
+    runs: Path = RUNS  # Folder of the trainings.
+    starts: int = 1000  # Fresh starts on which each policy is evaluated.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,8 +71,7 @@ class Job:
     """One training, or what trainings are compared with."""
 
     learner: str
-    training: int
-    """Its seed."""
+    training: int  # its seed
     starts: int
     seed: int
     kept: Kept | None = None
@@ -93,27 +82,18 @@ class Row:
     """What a policy does, and what its training cost."""
 
     successes: int = 0
-    variation: float = math.nan
-    """Over the last four seconds of the runs that succeed, in force limits per second."""
-    balanced: int = 0
-    """How many of as many starts at λ = 0.1 it balances."""
+    variation: float = math.nan  # over the last four seconds of the runs that succeed, in force limits per second
+    balanced: int = 0  # how many of as many starts at λ = 0.1 it balances
     balanced_noisy: int = 0
-    balancing: float = math.nan
-    """The variation from λ = 0.1; NaN where no run succeeds."""
+    balancing: float = math.nan  # the variation from λ = 0.1; NaN where no run succeeds
     balancing_noisy: float = math.nan
-    standing_noisy: float = math.nan
-    """That of the last four seconds."""
-    steps: int = 0
-    """Environment steps of the whole training."""
+    standing_noisy: float = math.nan  # that of the last four seconds
+    steps: int = 0  # environment steps of the whole training
     steps_to_best: int = 0
-    steps_to_half: int = -1
-    """Steps until an evaluation first saw half of its starts succeed; -1 where none did."""
-    steps_to_most: int = -1
-    """The same for 95 %."""
-    step_seconds: float = 0.0
-    """Simulated time in a step, s."""
-    test_seconds: float = 0.0
-    """Simulated time of the evaluations that chose the policy, at most, s."""
+    steps_to_half: int = -1  # steps until an evaluation first saw half of its starts succeed; -1 where none did
+    steps_to_most: int = -1  # the same for 95 %
+    step_seconds: float = 0.0  # simulated time in a step, s
+    test_seconds: float = 0.0  # simulated time of the evaluations that chose the policy, at most, s
     cpu_seconds: float = 0.0
     wall_seconds: float = 0.0
 
@@ -177,20 +157,8 @@ def least_variation(rig: dpend.Rig, x0: Array) -> float:
     .. math:: \min_u \frac{1}{T u_\max}\sum_{k=1}^{N-1} |u_k - u_{k-1}|
               \quad\text{with}\quad x_{k+1} = A x_k + B u_k,\ |u_k| \le u_\max,
 
-    cart and links within the limits of :class:`dpend.Balance` for its :math:`N` samples.  The force before the first
-    sample is free, as it is in the metric, and nothing is asked of the end.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-    x0 : ndarray (6,)
-        The start.
-
-    Returns
-    -------
-    float
-        Infinite where no force balances it.
+    cart and links within the limits of :class:`dpend.Balance` for its :math:`N` samples; infinite where no force does.
+    The force before the first sample is free, as it is in the metric, and nothing is asked of the end.
     """
     samples = _GENTLE.steps
     A, B = discretize(*linearize(rig.params), rig.sample_time)
@@ -208,20 +176,16 @@ def least_variation(rig: dpend.Rig, x0: Array) -> float:
     limits += [float(rig.force_limit)] * samples
     found = linprog(
         np.concatenate([np.zeros(7 * samples), np.ones(samples - 1)]),
-        A_ub=sparse.vstack(sides),
-        b_ub=np.zeros(2 * (samples - 1)),
-        A_eq=dynamics,
-        b_eq=from_start,
+        A_ub=sparse.vstack(sides), b_ub=np.zeros(2 * (samples - 1)), A_eq=dynamics, b_eq=from_start,
         bounds=[*((-limit, limit) for limit in limits), *[(0.0, math.inf)] * (samples - 1)],
-    )
+    )  # fmt: skip
     return found.fun / float(rig.force_limit) / (samples * rig.sample_time) if found.status == 0 else math.inf
 
 
 def report(table: Table) -> Report:
     """Draw success against environment steps, long trainings apart; tabulate success, and what learning cost."""
-    longest: dict[str, int] = {}
-    for row in table.lines():
-        longest[row.learner] = max(row.steps, longest.get(row.learner, 0))
+    names = dict.fromkeys(table.rows["learner"])
+    longest = {name: int(table.where(learner=name)["steps"].to_numpy().max()) for name in names}
     order = [name for name in longest if name not in (LQR_BALANCE, LEAST)]
     panels = [[name for name in order if (longest[name] >= 1e6) == of_long] for of_long in (False, True)]
     panels = [panel for panel in panels if panel]
@@ -256,27 +220,20 @@ def _median(curves: list[tuple[Array, Array]]) -> tuple[Array, Array]:
 
 def _line(table: Table, learner: str) -> dict[str, Value]:
     own = table.where(learner=learner)
-
-    def middle(column: str) -> float:
-        return median(own[column].dropna()).value
-
-    variations: dict[str, Value] = {heading: middle(column) for column, heading in _VARIATIONS.items()}
+    middle: Any = own.median(numeric_only=True)
+    variations: dict[str, Value] = {heading: middle[column] for column, heading in _VARIATIONS.items()}
     if learner == LEAST:
         return {"learner": learner} | variations
     shares, to_most = own["successes"] / own["starts"], own["steps_to_most"].to_numpy()
     there = to_most[to_most > 0]
     return {
-        "learner": learner,
-        "trainings": len(own),
-        "success, %": mean_share(shares, own["starts"]),
+        "learner": learner, "trainings": len(own), "success, %": mean_share(shares, own["starts"]),
         "each, %": " ".join(f"{100 * each:.1f}" for each in shares),
-        "λ = 0.1, %": middle("balanced") / middle("starts"),
-        "λ = 0.1, noise, %": middle("balanced_noisy") / middle("starts"),
-        **variations,
+        "λ = 0.1, %": middle["balanced"] / middle["starts"],
+        "λ = 0.1, noise, %": middle["balanced_noisy"] / middle["starts"], **variations,
         "to 95 %": f"{np.median(there):,.0f} ({len(there)})" if len(there) else None,
-        "steps": round(middle("steps")) or None,
-        "CPU s": round(middle("cpu_seconds")) or None,
-    }
+        "steps": round(middle["steps"]) or None, "CPU s": round(middle["cpu_seconds"]) or None,
+    }  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -73,10 +73,8 @@ SETTINGS = {
 class Options(_runner.OnRig):
     """Options of the command line."""
 
-    runs: int = 200
-    """Starts of each law at 20 ms."""
-    fine_runs: int = 20
-    """Starts of each law at 1 ms."""
+    runs: int = 200  # Starts of each law at 20 ms.
+    fine_runs: int = 20  # Starts of each law at 1 ms.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -90,8 +88,7 @@ class Job:
     plant: Plant
     setting: str
     runs: int
-    duration: float
-    """s."""
+    duration: float  # s
     seed: int
 
 
@@ -99,32 +96,22 @@ class Job:
 class Row:
     """One law under one set of circumstances."""
 
-    arrived: int
-    """Up for the last second."""
+    arrived: int  # up for the last second
     off_track: int
-    near: int
-    """Within 10 % of upright's energy at some time, the cart on its track."""
-    energy: float
-    """Median over the runs of the mean energy of the last 5 s, as a share of upright's."""
-    rise: float
-    """Greatest rise of V in 20 ms in any run, as a share of V at the start."""
-    time_up: float
-    """Median time until up for good of those that arrived, s; NaN where none did."""
+    near: int  # within 10 % of upright's energy at some time, the cart on its track
+    energy: float  # median over the runs of the mean energy of the last 5 s, as a share of upright's
+    rise: float  # greatest rise of V in 20 ms in any run, as a share of V at the start
+    time_up: float  # median time until up for good of those that arrived, s; NaN where none did
 
 
 def jobs(options: Options) -> list[Job]:
     """List the work: one job a setting."""
     quick = 3 if options.quick else max(options.runs, options.fine_runs)
     return [
-        Job(
-            options.plant,
-            name,
-            min(options.fine_runs if changes.keys() & FINE.keys() else options.runs, quick),
-            DURATION,
-            options.seed,
-        )
+        Job(options.plant, name, min(options.fine_runs if changes.keys() & FINE.keys() else options.runs, quick),
+            DURATION, options.seed)
         for name, (_, changes) in SETTINGS.items()
-    ]
+    ]  # fmt: skip
 
 
 def run(job: Job) -> Result:
@@ -145,13 +132,11 @@ def run(job: Job) -> Result:
     off = done.steps < round(job.duration / rig.sample_time)
     last = round(5 / plain.sample_time)
     row = Row(
-        arrived=int(done.success.sum()),
-        off_track=int(off.sum()),
-        near=int(near.sum()),
+        arrived=int(done.success.sum()), off_track=int(off.sum()), near=int(near.sum()),
         energy=float(np.median(energy[~off, -last:].mean(axis=1))) if not off.all() else float("nan"),
         rise=float(np.nanmax(np.diff(v, axis=1))),
         time_up=float(np.median(done.time_up[done.success])) if done.success.any() else float("nan"),
-    )
+    )  # fmt: skip
     return Result([row], {"t": done.t[::each], "v": _median(v), "energy": _median(energy)})
 
 
@@ -173,7 +158,7 @@ def report(table: Table) -> Report:
         left.semilogy(t, v, color=colour, lw=1, label=name.removeprefix("passivity, "))
         middle.plot(t, energy, color=colour, lw=1)
     left.set(xlabel="time, s", ylabel="V / V(0), median", title="passivity law alone")
-    left.legend(fontsize=7)
+    left.legend()
     middle.axhline(1.0, color="k", ls="--", lw=0.8)
     middle.set(xlabel="time, s", ylabel="E / Er, median", title="its energy")
     arrived = {row.setting: share(row.arrived, row.runs) for row in table.lines()}
@@ -183,18 +168,10 @@ def report(table: Table) -> Report:
     right.set(xlim=(0, 1), xlabel=f"arrived within {duration:g} s", title="then caught")
     right.tick_params(axis="y", labelsize=7)
     lines = [
-        {
-            "": row.setting,
-            "arrived, %": arrived[row.setting],
-            "median time, s": row.time_up,
-            "near Er": row.near,
-            "E/Er at the end": row.energy,
-            "rise of V in 20 ms": row.rise,
-            "off track": row.off_track,
-            "runs": row.runs,
-        }
+        {"": row.setting, "arrived, %": arrived[row.setting], "median time, s": row.time_up, "near Er": row.near,
+         "E/Er at the end": row.energy, "rise of V in 20 ms": row.rise, "off track": row.off_track, "runs": row.runs}
         for row in table.lines()
-    ]
+    ]  # fmt: skip
     forms = {"arrived, %": ".0%", "median time, s": ".1f", "E/Er at the end": ".2f", "rise of V in 20 ms": ".1e"}
     title = f"From hanging ± {ANGLE_SPREAD} rad, {duration:g} s; with 95 % intervals"
     return Report(figures=figure, tables=[sheet(title, lines, forms)])

@@ -1,11 +1,10 @@
 """Does the report's Gaussian QAC learn anywhere in the ranges it tried, and what makes an actor-critic learn here?
 
-Method: Algorithm 2 to the letter on gustafsson2016, λ = 0.1, over α and β log-spaced from 1e-8 to 1e-1 and σ² from
-0.001 to 10, from zero and from drawn initial weights, with and without indicators of signs; long runs at the smallest
-steps, because the report guesses that a smaller step size might converge after 40 000 episodes; then the tuned variant
-from fresh seeds, and the same without one of its numbered deviations each.  A training has learned if the mean of its
-policy saves at least 99 % of its starts at λ = 0.1.  The k-th training of each is evaluated on the k-th part of the
-starts, LQR on all.
+Method: Algorithm 2 to the letter on gustafsson2016, λ = 0.1, over α and β from 1e-8 to 1e-1 and σ² from 0.001 to 10,
+from zero and from drawn initial weights, with and without indicators of signs; long runs at the smallest steps, as the
+report guesses that these converge after 40 000 episodes; then the tuned variant, and it without one of its numbered
+deviations each.  A training has learned if the mean of its policy saves 99 % of its starts at λ = 0.1: the k-th has the
+k-th part of the starts, LQR all.
 
 Finding: none of 3200 short trainings and 32 long runs to the letter has one successful episode; 2639 overflow.  Tuned,
 30 of 30 trainings save 99 % at λ = 0.1, and 100/100/87.4/68.5 % at λ = .1/.2/.3/.4, as LQR does (100/99.9/86.7/67.2);
@@ -30,7 +29,7 @@ from rl.natural_qac import ablations
 
 from . import _runner
 from ._estimates import QUARTILES, Estimate, mean_share, share
-from ._figures import COLOURS, Curve, band, curves, forest, heat_map, mosaic, share_axis
+from ._figures import COLOURS, Curve, band, forest, heat_map, mosaic, saved_by_angle, share_axis
 from ._runner import Report, Result, Table
 from ._tables import Value, cell, sheet
 
@@ -41,12 +40,9 @@ LAMS = (0.1, 0.2, 0.3, 0.4)
 STEPS = tuple(float(f"{step:.3g}") for step in np.geomspace(1e-8, 1e-1, 8))
 VARIANCES = tuple(float(f"{variance:.3g}") for variance in np.geomspace(1e-3, 10, 5))
 VARIANTS: Mapping[str, Mapping[str, Any]] = {
-    "zero weights": {},
-    "weights N(0, 0.1²)": {"init_std": 0.1},
-    "weights N(0, 10²)": {"init_std": 10.0},
-    "signs": {"indicators": "signs"},
-    "cells of signs": {"indicators": "cells"},
-}
+    "zero weights": {}, "weights N(0, 0.1²)": {"init_std": 0.1}, "weights N(0, 10²)": {"init_std": 10.0},
+    "signs": {"indicators": "signs"}, "cells of signs": {"indicators": "cells"},
+}  # fmt: skip
 LONG_STEPS = STEPS[:4]
 LONG_VARIANCES = (1.0, 10.0)
 TUNED, LONG, REGULATOR = "tuned", "long", "LQR"
@@ -60,18 +56,12 @@ _EVERY = 4
 class Options(_runner.Options):
     """Options of the command line."""
 
-    short: int = 2
-    """Seeds of each setting of the ranges."""
-    short_episodes: int = 2000
-    """Budget of each of these trainings."""
-    long_episodes: int = 200_000
-    """Budget of each long run."""
-    trainings: int = 30
-    """Seeds of the tuned learner."""
-    ablated: int = 12
-    """Seeds of each ablation, the first of those."""
-    episodes: int = 300
-    """Starts on which each learned policy is evaluated at each λ."""
+    short: int = 2  # Seeds of each setting of the ranges.
+    short_episodes: int = 2000  # Budget of each of these trainings.
+    long_episodes: int = 200_000  # Budget of each long run.
+    trainings: int = 30  # Seeds of the tuned learner.
+    ablated: int = 12  # Seeds of each ablation, the first of those.
+    episodes: int = 300  # Starts on which each learned policy is evaluated at each λ.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -82,14 +72,10 @@ class Options(_runner.Options):
 class Job:
     """Trainings of one learner, or LQR in their place, and the starts on which they are evaluated."""
 
-    part: str
-    """ranges, long, tuned, or LQR."""
-    setting: str
-    """One of :data:`VARIANTS`; the tuned learner, or which ablation of it."""
-    trainings: tuple[int, ...]
-    """Numbers of the trainings, each with its part of the starts."""
-    variance: float = 0.0
-    """Of the report's learner, as what follows."""
+    part: str  # ranges, long, tuned, or LQR
+    setting: str  # one of VARIANTS; the tuned learner, or which ablation of it
+    trainings: tuple[int, ...]  # numbers of the trainings, each with its part of the starts
+    variance: float = 0.0  # of the report's learner, as what follows
     alphas: tuple[float, ...] = (0.0,)
     betas: tuple[float, ...] = (0.0,)
     max_episodes: int = 0
@@ -186,74 +172,57 @@ def _while_it_learns(training: Training, seed: int) -> dict[str, Array]:
     return {"share": np.array(share), "at_episode": training.details["updated"][::_EVERY]}
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
-STYLES = {
-    LQR_NAME: ("#0072B2", "o", "-"),
-    TUNED: ("#009E73", "D", "-."),
-    "13 cost and σ kept": ("#E69F00", "s", "--"),
-}
+STYLES = {LQR_NAME: ("#0072B2", "o", "-"), TUNED: ("#009E73", "D", "-."), "13 cost and σ kept": ("#E69F00", "s", "--")}
 _GREY = ("#555555", "s", "-")
 
 
 def report(table: Table) -> Report:
     """Draw where the report's ranges diverge, the long runs, the tuned learner, and what each deviation is worth."""
     saved, worth, evaluated = {}, {}, []
-    published = [_published(name, list(table.lines(setting=name))) for name in (*VARIANTS, LONG)]
-    present = set(table.rows["setting"])
-    for name in (each for each in (*ablations(RIG), LQR_NAME) if each in present):
+    published: list[dict[str, Value]] = [
+        {"setting": name, "trainings": len(rows),
+         **{outcome: sum(row.outcome == outcome for row in rows) for outcome in ("diverged", "converged")},
+         "learning episodes": sum(row.training_episodes for row in rows),
+         "of them successful": sum(row.training_successes for row in rows),
+         "trainings with one": sum(row.training_successes > 0 for row in rows),
+         "longest mean of 100 episodes, samples": max(row.longest for row in rows),
+         "best mean policy, λ = 0.1, %": max(row.successes / row.episodes for row in rows)}
+        for name in (*VARIANTS, LONG) if (rows := list(table.lines(setting=name)))
+    ]  # fmt: skip
+    for name in (*ablations(RIG), LQR_NAME):
+        if not (first := list(table.lines(setting=name, lam=LAMS[0]))):
+            continue
         rows = {lam: table.where(setting=name, lam=lam) for lam in LAMS}
-        saved[name] = {
-            lam: mean_share(own["successes"] / own["episodes"], own["episodes"]) for lam, own in rows.items()
-        }
-        first = list(table.lines(setting=name, lam=LAMS[0]))
+        saved[name] = {lam: mean_share(of["successes"] / of["episodes"], of["episodes"]) for lam, of in rows.items()}
         line: dict[str, Value] = {"learner": name}
         if name != LQR_NAME:
             done = sum(each.successes >= LEARNED * each.episodes for each in first)
             worth[name] = share(done, len(first))
             line["99 % at λ = 0.1"] = replace(cell(worth[name], ".0%"), text=f"{done} of {len(first)}")
-        cells = {f"λ = {lam:g}": cell(each, ".1%") for lam, each in saved[name].items()}
-        steps = cell(float(np.median([each.training_steps for each in first])), ",.0f")
-        evaluated.append(line | cells | {"median steps": steps})
+        line |= {f"λ = {lam:g}": cell(each, ".1%") for lam, each in saved[name].items()}
+        evaluated.append(line | {"median steps": float(np.median([each.training_steps for each in first]))})
     after = [each.learned_after for each in table.lines(setting=TUNED, lam=LAMS[0]) if each.learned_after >= 0]
     note = "None learned"
     if after:
         low, middle, high = np.quantile(after, QUARTILES)
         note = f"Tuned: 99 of 100 starts at λ = 0.1 first saved after {middle:.0f} episodes ({low:.0f} to {high:.0f})"
     title = "Saved by the mean policy, %, and 95 % interval over trainings"
-    return Report(
-        figures=_overview(table, saved, worth),
-        tables=[sheet("Algorithm 2 to the letter", filter(None, published)), sheet(title, evaluated, note=note)],
-    )
-
-
-def _published(name: str, rows: list[Any]) -> dict[str, Value]:
-    """Return how the trainings of one variant of the report's learner ended; nothing of none."""
-    return {
-        "setting": name,
-        "trainings": len(rows),
-        **{outcome: sum(row.outcome == outcome for row in rows) for outcome in ("diverged", "converged")},
-        "learning episodes": sum(row.training_episodes for row in rows),
-        "of them successful": sum(row.training_successes for row in rows),
-        "trainings with one": sum(row.training_successes > 0 for row in rows),
-        "longest mean of 100 episodes, samples": cell(max(row.longest for row in rows), ".0f"),
-        "best mean policy, λ = 0.1, %": cell(max(row.successes / row.episodes for row in rows), ".0%"),
-    } if rows else {}  # fmt: skip
+    forms = {"longest mean of 100 episodes, samples": ".0f", "best mean policy, λ = 0.1, %": ".0%"}
+    letter = sheet("Algorithm 2 to the letter", published, forms)
+    tuned = sheet(title, evaluated, {"median steps": ",.0f"}, note=note)
+    return Report(figures=_overview(table, saved, worth), tables=[letter, tuned])
 
 
 def _overview(table: Table, saved: Mapping[str, Curve], worth: Mapping[str, Estimate]) -> Figure:
     layout = [[[["ranges", "long"]]], [[["while", "end"]]], ["worth"]]
     figure, axes = mosaic(layout, height=9.4, height_ratios=[1, 1, 1.25])
-    ended = {}
-    for line in table.lines(part="ranges"):
-        ended.setdefault((line.beta, line.alpha), []).append(line.outcome == "diverged")
-    diverged = np.array([[np.mean(ended[beta, alpha]) for alpha in STEPS] for beta in STEPS[::-1]])
+    ranges = table.where(part="ranges")
+    diverged = ranges.assign(diverged=ranges["outcome"] == "diverged").pivot_table("diverged", "beta", "alpha")
     powers = [f"{np.log10(step):.0f}" for step in STEPS]
-    heat_map(axes["ranges"], diverged, powers[::-1], powers)
+    heat_map(axes["ranges"], diverged.to_numpy()[::-1], powers[::-1], powers)
     axes["ranges"].set(xlabel="log10 α", ylabel="log10 β", title="as published: trainings that diverge, %")
 
-    colours = dict(zip(LONG_STEPS, COLOURS, strict=False))
-    for alpha, colour in colours.items():
+    for alpha, colour in zip(LONG_STEPS, COLOURS, strict=False):
         own = (table.arrays(name, part=LONG, alpha=alpha) for name in ("at_episode", "lengths"))
         for k, (episodes, lengths) in enumerate(zip(*own, strict=True)):
             label = f"α = {alpha:g}" if k == 0 else None
@@ -267,10 +236,9 @@ def _overview(table: Table, saved: Mapping[str, Curve], worth: Mapping[str, Esti
     share_axis(axes["while"], "starts saved, λ = 0.1")
     axes["while"].set(xlabel="episodes", title="tuned: mean policy while it learns")
 
-    labels = {"without deviation 13" if name.startswith("13") else name: name for name in STYLES}
-    curves(axes["end"], {label: saved[name] for label, name in labels.items()}, list(STYLES.values()), aside=0.02)
-    share_axis(axes["end"], "starts saved")
-    axes["end"].set(xlabel="greatest starting angle λ (rad)", xticks=LAMS, title="mean policy at the end")
+    of = {"without deviation 13" if name.startswith("13") else name: saved[name] for name in STYLES}
+    saved_by_angle(axes["end"], of, list(STYLES.values()), aside=0.02)
+    axes["end"].set(xticks=LAMS, title="mean policy at the end")
     for name in ("long", "while", "end"):
         axes[name].legend(loc="lower left" if name == "end" else "best")
 

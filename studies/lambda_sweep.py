@@ -1,17 +1,10 @@
 """How do controllers and learners compare as the starting angles grow, and with what can be saved at all?
 
-Method: every contender of studies/_field.py that balances, and controllers of yours (``--controller path.py:factory``),
-balances gustafsson2016, or another ``--rig``, from θ1, θ2 ~ U[-λ, λ] for 300 samples, and saves a start if neither link
-falls and the cart stays on its track.  All λ share their directions.  What is designed is evaluated on all starts; the
-k-th training of a learner on the k-th part of them, 100 each by default as in the report; deep learners come as
-shipped, one training, with 10 000 at most; those that take long get the first starts only.  Intervals are 95 %:
-Wilson's for one controller, Student's over trainings for learned ones.  λ50 and λ90 are where the curve falls to a half
-and to nine tenths.  The grey line is the best known, studies.recoverable.  A second figure shows from which angles at
-rest each saves the pendulum.
-
-Why Q-learning is bang-bang: each feature of the report's Table 1 is constant or linear in the action, so
-q(s, a) = c(s) + a g(s) is a straight line over the actions.  Its greatest value is always at an end of the action set,
-so the greedy force is always +40 or -40 N.  No training can make it smooth; features with a² could.
+Method: every contender that balances does so on gustafsson2016, or another ``--rig``, from θ1, θ2 ~ U[-λ, λ] for 300
+samples; neither link may fall.  All λ share their directions.  The k-th training of a learner has the k-th part of the
+starts, 100 each as in the report; deep learners come as shipped, one training; those that take long get the first
+starts only.  Intervals are 95 %: Wilson's, of learners Student's over trainings.  λ50 and λ90 are where the curve falls
+to a half and to nine tenths, best known is studies.recoverable; maps show from which angles at rest each saves it.
 
 Finding: LQR saves 100/99.9/87.3/67.3 % at λ = .1/.2/.3/.4, Q-learning tuned 100/98.4/82.2/61.3 % (100 of 100 trainings
 converge, by search and select), the report 94/92/78/49 %; as published no training converges (0 of 100).  From
@@ -21,12 +14,13 @@ converge, by search and select), the report 94/92/78/49 %; as published no train
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 from matplotlib.figure import Figure
 
 import dpend
@@ -36,21 +30,10 @@ from . import _field, _runner, recoverable
 from ._basins import basin, plot_basins
 from ._estimates import Estimate, crossing, mean_share, share
 from ._field import CONTENDERS, Contender, Cost, PriorKnowledge, find, styles
-from ._figures import (
-    Curve,
-    Style,
-    best_known,
-    curves,
-    force_trace,
-    forest,
-    intervals,
-    legend_above,
-    mosaic,
-    share_axis,
-)
+from ._figures import Curve, Style, best_known, force_traces, forest, intervals, legend_above, mosaic, saved_by_angle
 from ._own import Own
-from ._runner import DEFAULT_RIG, Plant, Report, Result, Table
-from ._tables import Sheet, Value, cell, sheet
+from ._runner import DEFAULT_RIG, Plant, Report, Result, Table, where
+from ._tables import Sheet, cell, sheet
 
 MINUTES = 1
 
@@ -60,42 +43,23 @@ TABLE2 = {0.1: 0.94, 0.2: 0.92, 0.3: 0.78, 0.4: 0.49}
 PLAIN = "Q tuned, plain rule"
 
 ONLY_HERE = (
-    Contender(
-        name="Q published",
-        make=lambda rig, task: LinearQLearning.published(rig).train(0).policy,
-        prior_knowledge=PriorKnowledge("none", "report's cost", "λ = .1 about upright"),
-        style=("#777777", "v", ":"),
-        learner=lambda rig: LinearQLearning.published(rig),
-    ),
-    Contender(
-        name=PLAIN,
-        make=lambda rig, task: LinearQLearning.tuned(rig, select=False).train(0).policy,
-        prior_knowledge=PriorKnowledge("none", "report's cost, weights tuned", "λ = .08 about upright"),
-        style=("#8C6D1F", "P", "-."),
-        learner=lambda rig: LinearQLearning.tuned(rig, select=False),
-    ),
-)
+    Contender(name="Q published", make=lambda rig, task: LinearQLearning.published(rig).train(0).policy,
+              prior_knowledge=PriorKnowledge("none", "report's cost", "λ = .1 about upright"),
+              style=("#777777", "v", ":"), learner=lambda rig: LinearQLearning.published(rig)),
+    Contender(name=PLAIN, make=lambda rig, task: LinearQLearning.tuned(rig, select=False).train(0).policy,
+              prior_knowledge=PriorKnowledge("none", "report's cost, weights tuned", "λ = .08 about upright"),
+              style=("#8C6D1F", "P", "-."), learner=lambda rig: LinearQLearning.tuned(rig, select=False)),
+)  # fmt: skip
 """Learners that no other study needs: the report's, and the tuned one without acceptance tests and restarts."""
 
-KNOWN = (
-    *(contender for contender in CONTENDERS if not contender.policy),
-    *ONLY_HERE,
-    *(contender for contender in CONTENDERS if contender.policy),
-)
+KNOWN = (*(contender for contender in CONTENDERS if not contender.policy), *ONLY_HERE,
+         *(contender for contender in CONTENDERS if contender.policy))  # fmt: skip
 """Those that can take part, what is designed first."""
 
-DESIGNED, SHIPPED = "-", "shipped"
-"""How a training ended where there was none: a design, or a policy that was trained elsewhere, once."""
-
-BEST_KNOWN = "best known"
-"""What any force can save, from ``studies.recoverable``."""
-
-TRACED = ("LQR", "Q published", "Q tuned", "LSPI", "PPO balance")
-"""Those whose force is drawn: what is smooth beside what is bang-bang."""
-
-Falls = tuple[Estimate, Estimate]
-"""λ50 and λ90, at which a half and nine tenths of the starts are saved."""
-
+DESIGNED, SHIPPED = "-", "shipped"  # how a "training" ended: a design, or a policy trained elsewhere, once
+BEST_KNOWN = "best known"  # what any force can save, from studies.recoverable
+TRACED = ("LQR", "Q published", "Q tuned", "LSPI", "PPO balance")  # whose force is drawn: smooth beside bang-bang
+Falls = tuple[Estimate, Estimate]  # λ50 and λ90, at which a half and nine tenths of the starts are saved
 _TRACE_LAM, _TRACE_SECONDS = 0.1, 1.0
 _ENOUGH = 10_000  # starts of what is shipped: a network takes ten times as long as a gain
 
@@ -106,20 +70,14 @@ class Options(_field.Options, _runner.OnRig):
 
     known: ClassVar[tuple[Contender, ...]] = KNOWN
 
-    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-    """Greatest starting angles, rad."""
-    trainings: int = 10
-    """Trainings of each learner that learns in seconds."""
-    episodes: int = 100
-    """Starts on which each trained controller is evaluated at each λ."""
-    part_of: int = 250
-    """Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth."""
-    basins: int = 41
-    """Points on each side of the maps of what is saved from rest; none for no maps."""
+    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
+    trainings: int = 10  # Trainings of each learner that learns in seconds.
+    episodes: int = 100  # Starts on which each trained controller is evaluated at each λ.
+    part_of: int = 250  # Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth.
+    basins: int = 41  # Points on each side of the maps of what is saved from rest; none for no maps.
     plain: bool = False
     """Add the tuned learner with the plain rule of convergence: 20 successes in a row, no tests, no restarts."""
-    all: bool = False
-    """Add what takes minutes: NMPC, and coarse maps of those that take long."""
+    all: bool = False  # Add what takes minutes: NMPC, and coarse maps of those that take long.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -136,21 +94,16 @@ class Options(_field.Options, _runner.OnRig):
         return (min(self.trainings, 2), min(self.episodes, 20)) if self.quick else (self.trainings, self.episodes)
 
     def contenders(self, task: _field.TaskName) -> list[Contender]:
-        """Return those that take part.
+        """Return those that take part: what takes minutes, and the plain rule, only where they are asked for.
 
-        Not what takes minutes, nor the plain rule, unless they are asked for; nor on another rig than the default one
-        policies that come as they were trained on that.
+        On another rig than the default one policies that come as they were trained on that do not.
         """
-        asked = (*self.only, *([PLAIN] if self.plain else []))
+        asked = {*self.only, *([PLAIN] if self.plain else [])}
         return [
-            contender
-            for contender in super().contenders(task)
-            if (contender.learner or not contender.policy or self.plant.name == DEFAULT_RIG)
-            and (
-                contender.name in asked
-                or self.all
-                or (contender.cost is not Cost.EXPENSIVE and contender.name != PLAIN)
-            )
+            each
+            for each in super().contenders(task)
+            if (each.learner or not each.policy or self.plant.name == DEFAULT_RIG)
+            and (self.all or each.name in asked or (each.cost is not Cost.EXPENSIVE and each.name != PLAIN))
         ]
 
     def starts(self, contender: Contender) -> int:
@@ -175,11 +128,9 @@ class Job:
     contender: str
     training: int
     lams: tuple[float, ...]
-    first: int
-    """The first of its starts at each λ."""
+    first: int  # the first of its starts at each λ
     starts: int
-    side: int
-    """Points on a side of its map."""
+    side: int  # points on a side of its map
     seed: int
     own: Own | None
 
@@ -236,46 +187,20 @@ def run(job: Job) -> Result:
     return Result(rows, arrays)
 
 
-# ---------------------------------------------------------------------------------------------- what the table comes to
-
-
 def saved(table: Table, contender: str, lam: float, criterion: str = "successes") -> Estimate:
     """Return the share of starts that a contender saves at one λ: over its trainings, or over the starts of one.
 
-    Parameters
-    ----------
-    table : Table
-        The table.
-    contender : str
-        One of those in it.
-    lam : float
-        The λ.
-    criterion : {"successes", "successes_report"}
-        Neither link falls; or the report's own criterion, which looks at link 1 alone.
-
-    Returns
-    -------
-    Estimate
+    By the report's own criterion, ``"successes_report"``, only link 1 must not fall.
     """
-    own = table.where(contender=contender, lam=lam)
+    return _mean(table.where(contender=contender, lam=lam), criterion)
+
+
+def _mean(own: pd.DataFrame, criterion: str = "successes") -> Estimate:
     return mean_share(own[criterion] / own["episodes"], own["episodes"])
 
 
 def falls_to(table: Table, contender: str) -> Falls:
-    """Return λ50 and λ90, at which a contender saves a half and nine tenths of the starts.
-
-    Parameters
-    ----------
-    table : Table
-        The table, with which starts each job saved.
-    contender : str
-        One of those in it.
-
-    Returns
-    -------
-    lam50, lam90 : Estimate
-        The interval is over starts, or over trainings where there are several.
-    """
+    """Return λ50 and λ90 of a contender; the interval is over starts, or over trainings where there are several."""
     own = table.where(contender=contender)
     shares = own.assign(share=own["successes"] / own["episodes"]).pivot(index="training", columns="lam", values="share")
     outcomes = shares.to_numpy() if len(shares) > 1 else table.array("saved", contender=contender)
@@ -309,20 +234,12 @@ def _converged(table: Table, contender: str) -> str:
     return f"{outcomes.count('converged')} of {len(outcomes)}"
 
 
-def _trained(table: Table, contender: str) -> bool:
-    return _outcomes(table, contender)[0] not in (DESIGNED, SHIPPED)
-
-
 def _label(table: Table, contender: str) -> str:
     """Name a contender; a dagger marks one training as shipped; say how many trainings converged if not all did."""
     outcomes = set(_outcomes(table, contender))
     if outcomes == {SHIPPED}:
         return f"{contender} †"
-    all_did = outcomes <= {DESIGNED, "converged"}
-    return contender if all_did else f"{contender} ({_converged(table, contender)} converged)"
-
-
-# --------------------------------------------------------------------------------------------------------------- report
+    return contender + ("" if outcomes <= {DESIGNED, "converged"} else f" ({_converged(table, contender)} converged)")
 
 
 def report(table: Table) -> Report:
@@ -332,12 +249,15 @@ def report(table: Table) -> Report:
     success = {name: {lam: saved(table, name, lam) for lam in lams} for name in looks}
     falls = {name: falls_to(table, name) for name in looks}
     figures = {"": _overview(table, looks, success, falls)}
-    maps = {name: table.arrays("basin", contender=name) for name in looks}
-    if any(maps.values()):
-        figures["_basins"] = plot_basins(
-            {name: np.mean(basins, axis=0) for name, basins in maps.items() if basins}, known=_default(table)
-        )
-    tables = (_success_table(table, success), _falls_table(table, success, falls), *_learning_tables(table, success))
+    maps = {name: np.mean(found, axis=0) for name in looks if (found := table.arrays("basin", contender=name))}
+    if maps:
+        figures["_basins"] = plot_basins(maps, known=_default(table))
+    named = {_label(table, name): curve for name, curve in success.items()}
+    by_lam = {BEST_KNOWN: best(table)[0]} | named | {"the report's Table 2": TABLE2 if _default(table) else {}}
+    lines = [{"contender": name} | {f"λ = {lam:g}": of.get(lam) for lam in lams} for name, of in by_lam.items() if of]
+    brief = {"contender", *(f"λ = {lam:g}" for lam in TABLE2)}
+    saves = sheet("Starts saved, %", lines, ".1%", note="† as shipped, one training", brief=brief)
+    tables = (saves, _falls_table(table, success, falls), *_learning_tables(table, success))
     return Report(figures=figures, tables=[each for each in tables if each.lines])
 
 
@@ -346,11 +266,14 @@ def _overview(
 ) -> Figure:
     lams = list(next(iter(success.values())))
     known, known_falls = best(table)
-    forces = {name: table.arrays("force", contender=name) for name in looks}
-    traced = {f"{name}, one episode at λ = {_TRACE_LAM:g}": name for name, force in forces.items() if force}
+    traces = {
+        f"{name}, one episode at λ = {_TRACE_LAM:g}": (force, looks[name])
+        for name in looks
+        for force in table.arrays("force", contender=name)
+    }
     learned = "learned († as shipped, one training)"
     figure, axes = mosaic(
-        [[[["designed", learned]]], [[["falls", [[title] for title in traced] or "falls"]]]],
+        [[[["designed", learned]]], [[["falls", [[title] for title in traces] or "falls"]]]],
         height=7.6, height_ratios=[1.0, 1.1],
     )  # fmt: skip
     axes[learned].sharey(axes["designed"])
@@ -360,14 +283,12 @@ def _overview(
     for title in ("designed", learned):
         axis, designed = axes[title], title == "designed"
         own = [name for name in looks if (DESIGNED in _outcomes(table, name)) == designed]
-        if known:
-            best_known(axis, known, BEST_KNOWN)
-        curves(axis, {_label(table, name): success[name] for name in own}, [looks[name] for name in own])
+        best_known(axis, known, BEST_KNOWN)
+        of = {_label(table, name): success[name] for name in own}
+        saved_by_angle(axis, of, [looks[name] for name in own], "starts saved" if designed else "")
         if stars and not designed:
             style = ("k", "*", "none")
             intervals(axis, list(stars), stars.values(), style, label="the report's Table 2", ms=8, zorder=5)
-        share_axis(axis, "starts saved" if designed else "")
-        axis.set_xlabel("greatest starting angle λ (rad)")
         legend_above(axis, 2, title)
 
     order = sorted(falls, key=lambda name: (falls[name][0].value, falls[name][1].value), reverse=True)
@@ -376,40 +297,21 @@ def _overview(
         of = {name: each[which] for name, each in shown.items()}
         forest(axes["falls"], of, looks, tried=(lams[0], lams[-1]), hollow=which == 1)
     axes["falls"].set_xlabel("λ90 (open) and λ50 (filled), rad")
-    sample_time = float(table.rows["sample_time"].to_numpy()[0])
-    for title, name in traced.items():
-        force_trace(axes[title], forces[name][0], sample_time, _TRACE_SECONDS, looks[name][0], title)
-        axes[title].tick_params(labelbottom=title == list(traced)[-1])
-    if traced:
-        axes[list(traced)[-1]].set_xlabel("time (s)")
-        axes[list(traced)[len(traced) // 2]].set_ylabel("force on the cart (N)")
+    force_traces(axes, traces, float(table.rows["sample_time"].to_numpy()[0]), _TRACE_SECONDS)
     return figure
 
 
-def _success_table(table: Table, success: Mapping[str, Curve]) -> Sheet:
-    lams = list(next(iter(success.values())))
-    named = {_label(table, name): curve for name, curve in success.items()}
-    by_lam = {BEST_KNOWN: best(table)[0]} | named | {"the report's Table 2": TABLE2 if _default(table) else {}}
-    lines = [{"contender": name} | {f"λ = {lam:g}": of.get(lam) for lam in lams} for name, of in by_lam.items() if of]
-    brief = {"contender", *(f"λ = {lam:g}" for lam in TABLE2)}
-    return sheet("Starts saved, %", lines, ".1%", note="† as shipped, one training", brief=brief)
-
-
 def _falls_table(table: Table, success: Mapping[str, Curve], falls: Mapping[str, Falls]) -> Sheet:
-    lams = list(next(iter(success.values())))
-    known, known_falls = best(table)
-
-    def line(name: str, starts: int, found: Falls, levels: Sequence[float], more: str | None) -> dict[str, Value]:
-        lam50, lam90 = (cell(each, ".3f", tried=(levels[0], levels[-1])) for each in found)
-        return {"contender": name, "starts": starts, "λ50, rad": lam50, "λ90, rad": lam90, "link 1 alone": more}
-
-    lines = [line(BEST_KNOWN, 1000, known_falls, list(known), None)] if known else []
-    for name, curve in success.items():
-        by_report = {lam: saved(table, name, lam, "successes_report").value - curve[lam].value for lam in lams}
-        gain, lam = max((gain, -lam) for lam, gain in by_report.items())
-        more = f"+{100 * gain:.1f} at {-lam:g}" if gain > 0 else "the same"
-        starts = int(np.sum(table.where(contender=name, lam=lams[0])["episodes"]))
-        lines.append(line(name, starts, falls[name], lams, more))
+    (known, known_falls), lines = best(table), []
+    for name, curve in (({BEST_KNOWN: known} if known else {}) | dict(success)).items():
+        lams, starts, more = list(curve), 1000, None
+        if name != BEST_KNOWN:
+            starts = int(np.sum(table.where(contender=name, lam=lams[0])["episodes"]))
+            by_report = {lam: saved(table, name, lam, "successes_report").value - curve[lam].value for lam in lams}
+            gain, lam = max((gain, -lam) for lam, gain in by_report.items())
+            more = f"+{100 * gain:.1f} at {-lam:g}" if gain > 0 else "the same"
+        lam50, lam90 = (cell(each, ".3f", tried=(lams[0], lams[-1])) for each in falls.get(name, known_falls))
+        lines.append({"contender": name, "starts": starts, "λ50, rad": lam50, "λ90, rad": lam90, "link 1 alone": more})
     note = "link 1 alone: by how many points more are saved by the report's criterion, and where most"
     return sheet("Where success falls to a half and to nine tenths", lines, note=note)
 
@@ -418,20 +320,17 @@ def _learning_tables(table: Table, success: Mapping[str, Curve]) -> tuple[Sheet,
     """Tabulate what learning cost, and what those trainings save that converged, where not all did."""
     costs, converged = [], []
     headings = {"training_episodes": "episodes", "training_steps": "learning steps", "test_steps": "test steps"}
-    for name in (name for name in success if _trained(table, name)):
+    for name in success:
         own = table.where(contender=name)
+        if set(own["outcome"]) & {DESIGNED, SHIPPED}:
+            continue
         medians = own.drop_duplicates("training")[list(headings)].median().rename(headings)
         costs.append({"learner": name, "converged": _converged(table, name)} | medians.to_dict())
-        done = own[own["outcome"] == "converged"]
+        done = where(own, outcome="converged")
         if 0 < len(done) < len(own):
-            by_lam = {
-                lam: mean_share(of["successes"] / of["episodes"], of["episodes"]) for lam, of in done.groupby("lam")
-            }
-            converged.append({"learner": name} | {f"λ = {lam:g}": each for lam, each in by_lam.items()})
-    return (
-        sheet("What learning cost, medians over trainings", costs, ",.0f"),
-        sheet("Starts saved by the trainings that converged, %", converged, ".1%"),
-    )
+            converged.append({"learner": name} | {f"λ = {lam:g}": _mean(where(done, lam=lam)) for lam in success[name]})
+    cost = sheet("What learning cost, medians over trainings", costs, ",.0f")
+    return cost, sheet("Starts saved by the trainings that converged, %", converged, ".1%")
 
 
 if __name__ == "__main__":

@@ -1,20 +1,15 @@
 """Which controller is best, at what, how surely, at what cost, and with what prior knowledge?
 
-Method: all contenders of studies/_field.py, as designed or as shipped, are evaluated on the same starts on
-gustafsson2016.  Balancing: θ1, θ2 ~ U[-λ, λ], 300 samples, neither link falls; λ = .05 to .6.  Swing-up: from hanging
-and from the side, angles moved by ±0.1 rad, and from anywhere; 10 s, the last of them upright.  Force: while balancing
-from λ = .1 with noise of 0.002 on every measured state, and while swinging up from hanging.  Robustness:
-studies.robustness's score.  Steps are timed in one process, run by run in turn with LQR's.  Learners of seconds are
-trained here, the cost of deep ones is that of the trainings in docs/results/deep.  Balancing is ranked by success, mean
-over λ = .1 to .6; swing-up by success, mean over the three starts, then by time up.  Of two, the starts that both had
-count; intervals of ranks are from 2000 resamples.  Contenders that take long get the first of the starts only; one that
-never succeeds has no rank.
+Method: all contenders of studies/_field.py, as designed or as shipped, on the same starts on gustafsson2016, are ranked
+while balancing (θ1, θ2 ~ U[-λ, λ], 300 samples) by success, mean over λ = .1 to .6, and swinging up (from hanging, the
+side and anywhere, 10 s, the last of them upright) by success, then by time up.  Of two, the starts that both had count;
+those that take long have the first ones only; intervals of ranks are from 2000 resamples.  Beside it stand force,
+robustness, time of a step in turn with LQR's, and what training cost and how often it failed.
 
 Finding: of what balances, iLQR MPC saves most, 88.2 % [85.7, 90.8] in the mean over λ = .1 to .6 (200 starts), then PPO
 with 80.6 % [79.3, 81.9]; LQR has 72.5, LSPI 74.0 and tuned Q-learning 69.4 % of 1000.  NMPC and iLQR MPC swing up from
-every start (50 and 200 of each kind), DDPG from 100, 100 and 98.1 % (hanging, side, anywhere), PPO from 93.8, 100 and
-90.3 %.  LSPI learned in 0.04 s from two minutes of experience, and failed in 1 of 10 trainings; PPO's swing-up took two
-minutes and 89 hours.  From the default options, kept in docs/results/leaderboard.
+every start, DDPG from 98.1 % or more, PPO from 90.3 % or more.  LSPI learned in 0.04 s from two minutes of experience,
+PPO's swing-up took two minutes and 89 hours.  From the default options, kept in docs/results/leaderboard.
 """
 
 from __future__ import annotations
@@ -28,7 +23,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 import dpend
 import rl
@@ -50,28 +44,21 @@ from ._runner import Report, Result, Table, kept_table, read_rows, where
 from ._step_times import undisturbed
 
 MINUTES = 20
-
-GOOD = 0.95
-"""A training failed if its policy succeeds from less than this share of fresh starts."""
-
+GOOD = 0.95  # a training failed if its policy succeeds from less than this share of fresh starts
 _NOISE, _NOISY = 0.002, 200
 _STREAM = 4127  # sets these starts apart from those of every training, tuning and other study
 _CHUNK = 25  # runs of one that takes long, in a job
 _TURNS = 3  # runs in which steps are timed, each in turn with one of LQR's
 _COMPILING = 5.0  # s of experience
-
-Values = Mapping[str, npt.ArrayLike]
-"""Numbers by quantity, one a run or training."""
+Values = Mapping[str, npt.ArrayLike]  # numbers by quantity, one a run or training
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options(_field.Options):
     """Options of the command line."""
 
-    starts: int = 1000
-    """Starts at each λ and of each kind of swing-up; of those that take long a share."""
-    trainings: int = 10
-    """Trainings of each learner that learns in seconds."""
+    starts: int = 1000  # Starts at each λ and of each kind of swing-up; of those that take long a share.
+    trainings: int = 10  # Trainings of each learner that learns in seconds.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,11 +68,8 @@ class Options(_field.Options):
     def taking_part(self) -> list[Contender]:
         """Return those that take part; where it must be quick, of those that take long only what is asked for."""
         found = {contender.name: contender for task in TASKS for contender in self.contenders(task)}
-        return [
-            contender
-            for contender in found.values()
-            if not self.quick or contender.cost is Cost.CHEAP or contender.own or contender.name in self.only
-        ]
+        slow = [] if not self.quick else [each for each in found.values() if each.cost is not Cost.CHEAP]
+        return [each for each in found.values() if each not in slow or each.own or each.name in self.only]
 
     def runs(self, contender: Contender) -> int:
         """Return on how many starts of each kind a contender is evaluated."""
@@ -106,14 +90,11 @@ class Job:
     work: str
     contender: str
     task: TaskName
-    first: int = 0
-    """The first run, or the number of the training."""
+    first: int = 0  # the first run, or the number of the training
     runs: int = 0
-    drawn: int = 0
-    """How many starts are drawn, of which the runs are a part."""
+    drawn: int = 0  # how many starts are drawn, of which the runs are a part
     lams: tuple[float, ...] = ()
-    file: str = ""
-    """Hash of the file of deep trainings."""
+    file: str = ""  # hash of the file of deep trainings
     seed: int
     own: Own | None = None
 
@@ -140,9 +121,6 @@ def jobs(options: Options) -> list[Job]:
         if contender.trainings and (file := _file(contender)).exists():
             found += [job(work="deep", task=read_recipe(file).task, file=file_hash(file))]
     return found
-
-
-# ------------------------------------------------------------------------------------------------------------ the work
 
 
 def run(job: Job) -> Result:
@@ -215,10 +193,9 @@ def _steps(job: Job, contender: Contender) -> Values:
 
 
 def _step(controller: dpend.Controller, x0: Array, task: Balance | SwingUp) -> float:
-    """Return the time of a step by the number of rows: the mean over ten steps, of which the median.
+    """Return the time of a step by the number of rows: the median of means over ten steps, the first ten left out.
 
-    Some hold their force for several steps, so a step alone says little; the first ten, in which planners begin from
-    nothing, do not count.
+    Some hold their force for several steps, and planners begin from nothing.
     """
     steps = dpend.simulate_many(RIG, controller, x0, task=task).step_time[0]
     return float(np.nanmedian(steps[10 : len(steps) // 10 * 10].reshape(-1, 10).mean(axis=1)))
@@ -258,11 +235,9 @@ def _deep(job: Job, contender: Contender) -> Values:
 
 def _costs(*trainings: rl.Training) -> dict[str, npt.ArrayLike]:
     costs = [training.cost for training in trainings]
-    return {
-        "training, s": [cost.cpu_seconds for cost in costs],
-        "learning, s": [cost.steps * cost.sample_time for cost in costs],
-        "tests, s": [cost.test_steps * cost.sample_time for cost in costs],
-    }
+    return {"training, s": [cost.cpu_seconds for cost in costs],
+            "learning, s": [cost.steps * cost.sample_time for cost in costs],
+            "tests, s": [cost.test_steps * cost.sample_time for cost in costs]}  # fmt: skip
 
 
 def _file(contender: Contender) -> Path:
@@ -276,14 +251,8 @@ WORK: Mapping[str, Callable[[Job, Contender], Values]] = {
 
 
 def report(table: Table) -> Report:
-    """Draw the ranks, and tabulate what was measured of every contender, also on one page that sorts."""
+    """Draw ranks, the best on top, and how often each is first; tabulate all measured, also on a page that sorts."""
     places: dict[TaskName, Places] = {task: found for task in TASKS if (found := ranked(table, task))}
-    tables, html = board(table, places)
-    return Report(figures=_plot(places), tables=tables, pages={"leaderboard.html": html})
-
-
-def _plot(places: Mapping[TaskName, Places]) -> Figure:
-    """Draw the ranks with their intervals, the best on top; on the right, how often each is first."""
     lines = [len(of) for of in places.values()]
     figure, axes = facets(len(places), height=1.2 + 0.24 * sum(lines), width=6.3, height_ratios=lines)
     for axis, (task, of) in zip(axes[:, 0], places.items(), strict=True):
@@ -293,7 +262,8 @@ def _plot(places: Mapping[TaskName, Places]) -> Figure:
             axis.text(1.02, line, name if line < 0 else f"{place.first:.0%}" if place else "no success", **beside)
         axis.set(xlim=(0.5, len(of) + 0.5), xticks=range(1, len(of) + 1), xlabel=f"rank, {task}, with 95 % interval")
         axis.grid(visible=False, axis="y")
-    return figure
+    tables, html = board(table, places)
+    return Report(figures=figure, tables=tables, pages={"leaderboard.html": html})
 
 
 if __name__ == "__main__":

@@ -1,17 +1,14 @@
 """How fast does each learner learn, in episodes, in seconds of experience and in seconds of computing?
 
-Method: figures 3 to 5 of the report on gustafsson2016, next to ours: length of learning episodes (balancing) and
-average reward (swing-up) against episodes, each with its median and quartiles over trainings; one that ended goes on at
-the mean of its last ten episodes.  LSPI cuts its episodes after 100 samples or at 0.1 rad, QAC tuned at 0.254 rad.
-Beside them, what the policy of the moment would do, exploration left out, on 100 fresh starts at λ = 0.1 and 0.3:
-experience, acceptance tests included, and processor seconds until an evaluation first sees a start saved, and 95 %.
-Deep learners were evaluated as they trained (``--deep``), balancing at λ = 0.3; those that are not there are named.
+Method: figures 3 to 5 of the report on gustafsson2016 next to ours, with medians and quartiles over trainings; one that
+ended goes on at the mean of its last ten episodes.  Beside them, what the policy of the moment would do without
+exploration on 100 fresh starts at λ = 0.1 and 0.3: seconds of experience, acceptance tests included, and of processor
+time until a start is first saved, and 95 %.  Deep learners (``--deep``) were evaluated as they trained.
 
 Finding: LSPI saves 95 % of the starts at λ = 0.1 after 98 s of experience (98 to 104), QAC tuned after 380 s (367 to
-477), and both keep it, in 10 of 10 trainings each; Q-learning tuned keeps it after 6158 s (1301 to 13 650), and 8 of 10
-had come to it before and lost it.  As published neither saves a start: all 30 trainings overflow, QAC with α = β = 1e-6
-after 25 816 to 52 797 episodes that never grew longer.  Of 100 619 episodes of linear Q-learning of the swing-up none
-succeeds; PPO first sees 95 % of starts swung up after 157 286 s (5 of 5 trainings), DDPG after 8400 s (5 of 5).
+477), and both keep it, in 10 of 10 trainings; Q-learning tuned keeps it after 6158 s (1301 to 13 650), 8 of 10 lost it
+before.  As published neither saves a start: all 30 trainings overflow.  Of 100 619 episodes of linear Q-learning of the
+swing-up none succeeds; PPO first sees 95 % of starts swung up after 157 286 s, DDPG after 8400 s (5 of 5 each).
 """
 
 from __future__ import annotations
@@ -45,18 +42,14 @@ from ._trainings import RUNS, Kept, kept
 MINUTES = 8
 
 LAMS = (0.1, 0.3)
-MOST = 0.95
-"""The share of starts that counts as learned."""
-SMALL_STEPS = "QAC published, α = β = 1e-6"
-"""The learner with which Algorithm 2 lasts about as long as in the report's figure 4."""
+MOST = 0.95  # the share of starts that counts as learned
+SMALL_STEPS = "QAC published, α = β = 1e-6"  # with it Algorithm 2 lasts about as long as in the report's figure 4
 
 _ALGORITHMS: Mapping[str, Style] = {
     "ppo": ("#0072B2", "o", "-"), "ddpg": ("#D55E00", "s", "--"), "td3": ("#009E73", "D", "-."),
     "sac": ("#CC79A7", "^", ":"),
 }  # fmt: skip
-DEEP = {
-    task: {f"{algo}-{task}": style for algo, style in _ALGORITHMS.items()} for task in ("balance", "swing-up")
-}  # fmt: skip
+DEEP = {task: {f"{algo}-{task}": style for algo, style in _ALGORITHMS.items()} for task in ("balance", "swing-up")}
 """Styles of deep learners by task and by the names of their recipes."""
 
 _DEEP_LAM = 0.3  # at which trainings of balancing are evaluated
@@ -78,21 +71,14 @@ def _swing_up(rig: dpend.Rig, alpha: float, like: Callable[[dpend.Rig], LinearQL
 ONLY_HERE = (
     _only_here("Q published", LinearQLearning.published, style=("#777777", "v", ":")),
     _only_here("QAC published, α = β = 1e-4", GaussianQAC.published, style=("#000000", "v", ":")),
-    _only_here(
-        SMALL_STEPS, lambda rig: GaussianQAC.published(rig, alpha=1e-6, beta=1e-6, max_episodes=60_000),
-        style=("#E69F00", "v", "-"),
-    ),
-    _only_here(
-        "Q swing-up, α = 1e-4 as for balancing", lambda rig: _swing_up(rig, 1e-4, LinearQLearning.published),
-        style=("#777777", "v", ":"),
-    ),
-    _only_here(
-        "Q swing-up, α = 1e-6", lambda rig: _swing_up(rig, 1e-6, LinearQLearning.published), style=("#0072B2", "v", "-")
-    ),
-    _only_here(
-        "Q swing-up, features scaled as tuned", lambda rig: _swing_up(rig, 1e-4, LinearQLearning.tuned),
-        style=("#D55E00", "v", "--"),
-    ),
+    _only_here(SMALL_STEPS, lambda rig: GaussianQAC.published(rig, alpha=1e-6, beta=1e-6, max_episodes=60_000),
+               style=("#E69F00", "v", "-")),
+    _only_here("Q swing-up, α = 1e-4 as for balancing", lambda rig: _swing_up(rig, 1e-4, LinearQLearning.published),
+               style=("#777777", "v", ":")),
+    _only_here("Q swing-up, α = 1e-6", lambda rig: _swing_up(rig, 1e-6, LinearQLearning.published),
+               style=("#0072B2", "v", "-")),
+    _only_here("Q swing-up, features scaled as tuned", lambda rig: _swing_up(rig, 1e-4, LinearQLearning.tuned),
+               style=("#D55E00", "v", "--")),
 )  # fmt: skip
 """The report's learners as published, and linear Q-learning of the swing-up, from the report's start."""
 
@@ -107,10 +93,8 @@ def learners() -> dict[str, Contender]:
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 10
-    """Seeds of each learner that is trained here."""
-    starts: int = 100
-    """Fresh starts of an evaluation at each λ."""
+    trainings: int = 10  # Seeds of each learner that is trained here.
+    starts: int = 100  # Fresh starts of an evaluation at each λ.
     deep: Path = RUNS
     """Folder of the deep trainings, such as ppo-swing-up.npz, or ppo-swing-up with a folder for each seed."""
 
@@ -125,13 +109,10 @@ class Job:
     """One training, to be made here, or kept."""
 
     learner: str
-    training: int
-    """Its number, or the seed of a deep one."""
+    training: int  # its number, or the seed of a deep one
     starts: int = 0
-    points: int = 0
-    """At most so many policies on the way."""
-    seconds: float = math.inf
-    """Greatest experience, s; infinite for the learner's own budget."""
+    points: int = 0  # at most so many policies on the way
+    seconds: float = math.inf  # greatest experience, s; infinite for the learner's own budget
     seed: int = 0
     kept: Kept | None = None
 
@@ -176,12 +157,10 @@ def _train(job: Job) -> Result:
     experience = np.array([way.experience for way in ways])
     cpu = training.cost.cpu_seconds * experience / max(training.experience, RIG.sample_time)
     whole = {
-        "outcome": training.outcome.name.lower().replace("_", " "),
-        "episodes": training.cost.episodes,
+        "outcome": training.outcome.name.lower().replace("_", " "), "episodes": training.cost.episodes,
         "successes": int(curve["success"].sum()) if "success" in curve else -1,
-        "experience": training.experience,
-        "cpu": training.cost.cpu_seconds,
-    }
+        "experience": training.experience, "cpu": training.cost.cpu_seconds,
+    }  # fmt: skip
     lengths = curve.get("length", np.zeros(0)).astype(np.float64)
     values = lengths if balancing else curve.get("reward", np.array(np.nan)) / lengths
     arrays = {
@@ -215,14 +194,9 @@ def _read(kept: Kept) -> Result:
 def _costs(lam: float, experience: Array, cpu: Array, shares: Array, one: float) -> dict[str, float]:
     first, most = reached(shares, one), reached(shares, MOST)
     return {
-        "lam": lam,
-        "first": _at(experience, first),
-        "first_cpu": _at(cpu, first),
-        "most": _at(experience, most),
-        "most_cpu": _at(cpu, most),
-        "kept": _at(experience, kept_from(shares)),
-        "share": float(shares[-1]),
-    }
+        "lam": lam, "first": _at(experience, first), "first_cpu": _at(cpu, first), "most": _at(experience, most),
+        "most_cpu": _at(cpu, most), "kept": _at(experience, kept_from(shares)), "share": float(shares[-1]),
+    }  # fmt: skip
 
 
 def reached(shares: Array, level: float) -> int:
@@ -256,9 +230,6 @@ def thin(values: Array) -> Array:
     return np.array([values[start:end].mean() for start, end in pairwise(edges(len(values)))])
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
-
 def quartiles(curves: Sequence[Array], tails: Sequence[float]) -> Array:
     """Return quartiles ``(3, m)`` over curves, the longest of m values, of which others go on at their tails."""
     longest = max(map(len, curves))
@@ -278,10 +249,8 @@ def report(table: Table) -> Report:
     balancing = styles(trained["learner"][trained["lam"] > 0], learners().values())
     swinging = styles(trained["learner"][trained["lam"] == 0], learners().values())
     there = [name for name in (*balancing, *swinging, *deep) if name in set(table.rows["learner"])]
-    tables = [_endings_table(table, there)]
-    for lam, title in {**{lam: f"Balancing from λ = {lam:g}" for lam in LAMS}, 0.0: "Swing-up"}.items():
-        here = set(table.where(lam=lam)["learner"])
-        tables.append(_costs_table(table, [name for name in there if name in here], lam, title))
+    titles = {lam: f"Balancing from λ = {lam:g}" for lam in LAMS} | {0.0: "Swing-up"}
+    tables = [_endings_table(table, there), *(_costs_table(table, there, *each) for each in titles.items())]
     figures = {"": _balancing(table, balancing), "_swing_up": _swinging(table, swinging)}
     return Report(figures=figures, tables=[each for each in tables if each.lines])
 
@@ -303,7 +272,7 @@ def _balancing(table: Table, looks: Mapping[str, Style]) -> Figure:
     note(fourth, "report: “something clearly happened between episode 30000 and 40000” (shaded); no episode succeeded")
     legend_above(fourth, 2, "As the report's figure 4: Gaussian QAC to the letter")
     for name, style in looks.items():
-        x, y = table.arrays("experience", learner=name), table.arrays(f"share {LAMS[0]:g}", learner=name)
+        x, y = (table.arrays(each, learner=name) for each in ("experience", f"share {LAMS[0]:g}"))
         grid = np.geomspace(min(each[0] for each in x), max(each[-1] for each in x), _GRID)
         band(shares, grid, quartiles_between(x, y, grid), style, name)
     shares.set(xscale="log", xlabel="experience, tests included (s)")
@@ -314,8 +283,7 @@ def _balancing(table: Table, looks: Mapping[str, Style]) -> Figure:
 
 
 def _swinging(table: Table, looks: Mapping[str, Style]) -> Figure:
-    figure, axes = facets(2, height=5.4)
-    fifth, deep = axes[:, 0]
+    figure, ((fifth,), (deep,)) = facets(2, height=5.4)
     _episodes(fifth, table, looks)
     low, high = fifth.get_ylim()
     fifth.set(xscale="log", ylabel="average reward (upright: 0)", ylim=(low, high + 0.15 * (high - low)))
@@ -328,32 +296,22 @@ def _swinging(table: Table, looks: Mapping[str, Style]) -> Figure:
 def _episodes(axis: Axes, table: Table, looks: Mapping[str, Style]) -> None:
     """Draw curves against episodes, as far as the longest training went, with how trainings ended in the legend."""
     for name, style in looks.items():
-        curves, tails = (
-            table.arrays("curve", learner=name),
-            [float(each[0]) for each in table.arrays("tail", learner=name)],
-        )
+        tails = [tail.item() for tail in table.arrays("tail", learner=name)]
         if np.isfinite(tails).all():
-            middle = quartiles(curves, tails)
-            band(axis, edges(10**6)[1 : middle.shape[1] + 1], middle, style, f"{name} ({_ended(table, name)})")
+            middle = quartiles(table.arrays("curve", learner=name), tails)
+            counts = table.where(learner=name).drop_duplicates("training")["outcome"].value_counts()
+            ended = ", ".join(f"{counts[outcome]} {words}" for outcome, words in _OUTCOMES.items() if outcome in counts)
+            band(axis, edges(10**6)[1 : middle.shape[1] + 1], middle, style, f"{name} ({ended})")
     axis.set_xlabel("learning episodes")
-
-
-def _ended(table: Table, learner: str) -> str:
-    """Return how many trainings of a learner ended in which way."""
-    counts = table.where(learner=learner).drop_duplicates("training")["outcome"].value_counts()
-    return ", ".join(f"{counts[outcome]} {words}" for outcome, words in _OUTCOMES.items() if outcome in counts)
 
 
 def _deep(axis: Axes, table: Table, task: str, words: str) -> None:
     """Draw the evaluations of deep learners against environment steps, and name those that are not there."""
-    lacking = []
     for name, style in DEEP[task].items():
-        x, y = table.arrays("steps", learner=name), table.arrays("share", learner=name)
-        if x:
+        if x := table.arrays("steps", learner=name):
             grid = np.unique(np.concatenate(x))
-            band(axis, grid, quartiles_between(x, y, grid), style, f"{name} ({len(x)} training{'s' * (len(x) > 1)})")
-        else:
-            lacking.append(name)
+            curve = quartiles_between(x, table.arrays("share", learner=name), grid)
+            band(axis, grid, curve, style, f"{name} ({len(x)} training{'s' * (len(x) > 1)})")
     share_axis(axis, words)
     axis.set_xlabel("environment steps")
     if axis.lines:
@@ -361,7 +319,7 @@ def _deep(axis: Axes, table: Table, task: str, words: str) -> None:
         axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
         axis.xaxis.set_minor_formatter(NullFormatter())
         axis.xaxis.set_major_formatter(EngFormatter(sep=" "))
-    if lacking:
+    if lacking := [name for name in DEEP[task] if name not in set(table.rows["learner"])]:
         note(axis, f"not there: trainings of {', '.join(lacking)}")
     legend_above(axis, 2, f"Deep learners, {task}: evaluations while they train")
 
@@ -370,38 +328,26 @@ def _endings_table(table: Table, learners: Sequence[str]) -> Sheet:
     lines: list[dict[str, Value]] = []
     for name in learners:
         own = table.where(learner=name).drop_duplicates("training")
-        ends = own["outcome"].to_numpy().tolist()
-        made_here = ends[0] != "-"
-        episodes, successes = (int(own[column].to_numpy().sum()) for column in ("episodes", "successes"))
-        lines.append({
-            "learner": name,
-            "trainings": len(own),
-            "converged": ends.count("converged") if made_here else None,
-            "diverged": ends.count("diverged") if made_here else None,
-            "episodes": episodes if episodes >= 0 else None,
-            "successful": successes if successes >= 0 else None,
-        })  # fmt: skip
+        ends, sums = own["outcome"].tolist(), own[["episodes", "successes"]].sum().tolist()
+        counts = [ends.count(outcome) if ends[0] != "-" else None for outcome in ("converged", "diverged")]
+        counts += [total if total >= 0 else None for total in sums]
+        headings = ("converged", "diverged", "episodes", "successful")
+        lines.append({"learner": name, "trainings": len(own), **dict(zip(headings, counts, strict=True))})
     lacking = ", ".join(name for names in DEEP.values() for name in names if name not in learners)
     note = f"No trainings there of {lacking}: left out." if lacking else ""
     return sheet("Trainings and their learning episodes", lines, note=note)
 
 
 def _costs_table(table: Table, learners: Sequence[str], lam: float, title: str) -> Sheet:
-    headings = {
-        "first": "first start",
-        "first_cpu": "CPU to it",
-        "most": "95 %",
-        "most_cpu": "CPU to 95 %",
-        "kept": "kept",
-    }
+    columns = ("first", "first_cpu", "most", "most_cpu", "kept")
+    headings = ("first start", "CPU to it", "95 %", "CPU to 95 %", "kept")
     lines: list[dict[str, Value]] = []
     for name in learners:
-        own = table.where(learner=name, lam=lam)
-        times = {heading: typical(own[column].to_numpy()) for column, heading in headings.items()}
-        lines.append({"learner": name, **times, "end, %": float(np.median(own["share"]))})
-    note = (
-        "until an evaluation first sees a start saved, first sees 95 %, and until all that follow do; s; median, range"
-    )
+        if len(own := table.where(learner=name, lam=lam)):
+            times = [typical(own[column].to_numpy()) for column in columns]
+            end = {"end, %": float(np.median(own["share"]))}
+            lines.append({"learner": name, **dict(zip(headings, times, strict=True)), **end})
+    note = "until an evaluation first sees a start saved, first sees 95 %, until all that follow do; s; median, range"
     return sheet(f"{title}: experience and processor time to success, s", lines, note=note)
 
 

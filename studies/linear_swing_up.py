@@ -1,13 +1,10 @@
 """Can a linear controller swing the double pendulum up?
 
-Method: first linear Q-learning as the report tried it, from (π/2, π/2) at rest for 1000 samples, over ε, α, the action
-set, initial weights and features; counted are episodes in which both links stay up for a second, within 0.2 rad.  Then
-the claim that no linear controller can is put to a search over gains: force K·s, saturated, and force ±40 N by the
-sign of K·s, with s the state itself, as in the action part of Table 1, or its angles taken to the nearest turn, from
-the side and from hanging at rest, 1000 samples.  Half of the first gains are drawn in any direction, half among those
-that hold upright; evolution strategies (CMA-ES) go on from the best, and where some succeed, one more for success from
-starts within ±0.05 rad.  The widest of the best is simulated again alone, with a quarter of the integration step as
-well, because the motion is chaotic, and from 1000 fresh starts near.
+Method: linear Q-learning as the report tried it, from (π/2, π/2) at rest for 1000 samples, over ε, α, action set,
+initial weights and features; then a search over gains: force K·s, saturated, or ±40 N by its sign, angles as they are
+or to the nearest turn, from the side and from hanging at rest.  Half of the first gains are drawn anywhere, half among
+those that hold upright; CMA-ES goes on from the best.  The widest is simulated again with a quarter of the integration
+step, as the motion is chaotic, and from 1000 starts within ±0.05 rad.  Up is within 0.2 rad for a second.
 
 Finding: Q-learning never holds the links up for a second (0 of 432 trainings, 146 225 episodes).  But a linear
 controller can: from the side one gain of 90 112, saturated and with angles to the nearest turn, has both links up after
@@ -38,7 +35,7 @@ from . import _runner
 from ._estimates import QUARTILES, share
 from ._figures import COLOURS, band, facets
 from ._runner import Report, Result, Table
-from ._tables import cell, sheet
+from ._tables import sheet
 
 MINUTES = 7
 
@@ -56,8 +53,7 @@ FEATURES = {
 LAWS = {"K·s": False, "sign of K·s": True}
 STATES = {"angles as they are": False, "nearest turn": True}
 STARTS = ("side", "hanging")
-FORCE = 40.0
-"""Largest force, and that of the sign, N."""
+FORCE = 40.0  # largest force, and that of the sign, N
 _NEAR, _STARTS_NEAR = 0.05, 16
 _ROWS = 4096
 
@@ -66,16 +62,11 @@ _ROWS = 4096
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 2
-    """Seeds of each setting of Q-learning."""
-    training_episodes: int = 500
-    """Budget of each training."""
-    candidates: int = 49_152
-    """Random gains that each search begins with, half of them such as hold upright."""
-    generations: int = 40
-    """Generations of each evolution strategy."""
-    strategies: int = 4
-    """Evolution strategies in each search, from its best random gains."""
+    trainings: int = 2  # Seeds of each setting of Q-learning.
+    training_episodes: int = 500  # Budget of each training.
+    candidates: int = 49_152  # Random gains that each search begins with, half of them such as hold upright.
+    generations: int = 40  # Generations of each evolution strategy.
+    strategies: int = 4  # Evolution strategies in each search, from its best random gains.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -86,36 +77,25 @@ class Options(_runner.Options):
 class Job:
     """Q-learning with one choice of features and action set, or a search over the gains of one law from one start."""
 
-    part: str
-    """learning or search; what belongs to the other is empty or zero."""
+    part: str  # learning or search; what belongs to the other is empty or zero
     seed: int
     start: str = "side"
     features: str = ""
     forces: str = ""
-    trainings: int = 0
-    """Seeds of each setting of Q-learning."""
-    budget: int = 0
-    """Episodes of each training."""
+    trainings: int = 0  # seeds of each setting of Q-learning
+    budget: int = 0  # episodes of each training
     law: str = ""
     state: str = ""
     candidates: int = 0
     generations: int = 0
     strategies: int = 0
-    starts_near: int = 0
-    """Fresh starts on which the best gain is tried."""
+    starts_near: int = 0  # fresh starts on which the best gain is tried
 
 
 class LinearLaw:
-    r"""Law :math:`u = K s` or :math:`u = F\,\mathrm{sgn}(K s)`, one gain for all rows or one a row.
+    r"""Law :math:`u = K s` or :math:`u = F\,\mathrm{sgn}(K s)` with gains ``(6,)``, or ``(n, 6)`` one a row.
 
-    Parameters
-    ----------
-    K : ndarray (6,) or (n, 6)
-        Gains.
-    law : str
-        One of :data:`LAWS`.
-    state : str
-        One of :data:`STATES`: what :math:`s` is.
+    ``law`` is one of :data:`LAWS`; ``state``, one of :data:`STATES`, says what :math:`s` is.
     """
 
     name = "linear law"
@@ -186,10 +166,8 @@ class Score(NamedTuple):
 
     value: Array
     """What a search climbs: how near to upright at rest it came, how long it stayed on the track and up; success."""
-    longest: Array
-    """Longest time upright without a break, s."""
-    up: npt.NDArray[np.bool_]
-    """Whether it ended with a second upright."""
+    longest: Array  # longest time upright without a break, s
+    up: npt.NDArray[np.bool_]  # whether it ended with a second upright
 
 
 def _scores(K: Array, x0: Array, law: str, state: str, horizon: int) -> Score:
@@ -351,22 +329,21 @@ def _evolve(
 
 def report(table: Table) -> Report:
     """Draw average rewards, best scores and the tip's height under the best gains; tabulate what was found."""
-    learned = []
-    for features in FEATURES:
-        if own := list(table.lines(features=features)):
-            learned.append(
-                {"features": features, "trainings": len(own), "overflowed": sum(r.outcome == "diverged" for r in own),
-                 "episodes": sum(r.episodes for r in own), "ended upright": sum(r.successes for r in own),
-                 "longest upright, s": cell(max(r.longest for r in own), ".2f")}
-            )  # fmt: skip
+    learned = [
+        {"features": features, "trainings": len(own), "overflowed": sum(row.outcome == "diverged" for row in own),
+         "episodes": sum(row.episodes for row in own), "ended upright": sum(row.successes for row in own),
+         "longest upright, s": max(row.longest for row in own)}
+        for features in FEATURES if (own := list(table.lines(features=features)))
+    ]  # fmt: skip
     searched = [
         {"start": row.start, "law": f"{row.law}, {row.state}", "gains tried": row.episodes, "of them up": row.successes,
-         "the best": row.outcome, "longest upright, s": cell(row.longest, ".2f"), "fresh starts near": row.starts_near,
+         "the best": row.outcome, "longest upright, s": row.longest, "fresh starts near": row.starts_near,
          "of them up, %": share(row.near, row.starts_near)}
         for row in table.lines(part="search")
     ]  # fmt: skip
-    brief = ("start", "law", "of them up", "the best", "of them up, %")
-    tables = [sheet("Linear Q-learning from the side", learned), sheet("Search over gains", searched, brief=brief)]
+    form, brief = {"longest upright, s": ".2f"}, ("start", "law", "of them up", "the best", "of them up, %")
+    titles = "Linear Q-learning from the side", "Search over gains"
+    tables = [sheet(titles[0], learned, form), sheet(titles[1], searched, form, brief=brief)]
     return Report(figures=_overview(table), tables=tables)
 
 
@@ -376,8 +353,8 @@ def _overview(table: Table) -> Figure:
         for k, rewards in enumerate(table.arrays("rewards", features=features)):
             episodes = np.arange(1, rewards.shape[1] + 1)
             band(learning, episodes, rewards, (colour, "", "-"), features if k == 0 else None)
-    learning.set(xlabel="episodes", ylabel="average reward")
-    learning.set_title("linear Q-learning that did not overflow: median and quartiles over settings")
+    title = "linear Q-learning that did not overflow: median and quartiles over settings"
+    learning.set(xlabel="episodes", ylabel="average reward", title=title)
     for colour, row in zip(COLOURS, table.lines(part="search"), strict=False):
         words, best, angles = f"{row.law}, {row.state}", *(table.array(a, job=row.job) for a in ("scores", "angles"))
         scores.plot(np.arange(1, len(best) + 1), best, color=colour, label=f"{row.start}: {words}")
@@ -385,9 +362,9 @@ def _overview(table: Table) -> Figure:
         heights[STARTS.index(row.start)][0].plot(t, 0.5 * np.cos(angles).sum(axis=1), color=colour, lw=1, label=words)
     scores.set(xlabel="generation", ylabel="best score")
     for (axis,), start in zip(heights, STARTS, strict=True):
-        axis.set(xlabel="time (s)", ylabel="height of the tip", ylim=(-1.1, 1.1))
-        axis.set_title(f"best gains from {start}, 1 = upright, until the cart leaves the track")
-    for axis, columns in ((learning, 1), (scores, 2), *((axis, 2) for (axis,) in heights)):
+        title = f"best gains from {start}, 1 = upright, until the cart leaves the track"
+        axis.set(xlabel="time (s)", ylabel="height of the tip", ylim=(-1.1, 1.1), title=title)
+    for axis, columns in zip(figure.axes, (1, 2, 2, 2), strict=True):
         if axis.get_legend_handles_labels()[0]:
             axis.legend(ncols=columns)
     return figure

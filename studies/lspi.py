@@ -1,10 +1,10 @@
 """Does Q-learning with quadratic features find the Riccati gain from data alone, and is its force smooth?
 
 Method: on gustafsson2016, from K = 0 and without a model, least-squares policy iteration with 120 s and with 60 s of
-experience, and one-step Q-learning on the same features with 120 s and with 12 000 s, 30 fresh seeds each.  The gain is
-compared with the one of the Riccati equation for the same cost and discount, with √γA and √γB.  The k-th training of
-every learner, and that gain, are evaluated on the k-th part of the starts at every λ; Table 1 Q-learning (tuned) stands
-beside.  Variation is the total variation of the force per second, in units of the force limit, at λ = 0.1.
+experience, and one-step Q-learning on the same features with 120 s and 12 000 s, 30 seeds each, beside Q-learning on
+Table 1 (tuned).  The gain is compared with that of the Riccati equation for the same cost and discount; the k-th
+training of each, and that gain, have the k-th part of the starts at every λ.  Variation is that of the force at λ =
+0.1, in force limits per second.
 
 Finding: with 120 s LSPI comes within 5 % of the Riccati gain in 30 of 30 trainings (median error 0.13 %, at most
 0.9 %), saves what that gain saves (100/99.5/85.2/69.0 %), and its force varies 1/814 as much as Table 1 Q-learning's;
@@ -28,7 +28,7 @@ from rl.lspi import gain_errors
 
 from . import _runner
 from ._estimates import QUARTILES, mean_share, share
-from ._figures import Curve, band, curves, force_trace, legend_above, log_axis, mosaic, share_axis
+from ._figures import Curve, band, force_traces, legend_above, log_axis, mosaic, saved_by_angle
 from ._runner import Report, Result, Table
 from ._tables import cell, sheet
 
@@ -36,19 +36,16 @@ MINUTES = 6
 
 RIG = dpend.rig("gustafsson2016")
 LAMS = (0.1, 0.2, 0.3, 0.4)
-CLOSE = 0.05
-"""A gain counts as found within this error, relative to the norm of the Riccati gain."""
-
+CLOSE = 0.05  # a gain counts as found within this error, relative to the norm of the Riccati gain
 REFERENCE, TABLE1 = "Riccati gain", "Q-learning, Table 1"
 LEARNERS: dict[str, Callable[[dpend.Rig], Learner]] = {
     "LSPI, 120 s": lambda rig: LSPI(rig),
     "LSPI, 60 s": lambda rig: LSPI(rig, samples=60, iterations=50, anneal=42),
     "one-step Q, 120 s": lambda rig: QuadraticQLearning(rig),
-    "one-step Q, 12 000 s": lambda rig: QuadraticQLearning(
-        rig, samples=600_000, anneal=500_000, alpha=0.1, record_every=10_000
-    ),
+    "one-step Q, 12 000 s":
+        lambda rig: QuadraticQLearning(rig, samples=600_000, anneal=500_000, alpha=0.1, record_every=10_000),
     TABLE1: lambda rig: LinearQLearning.tuned(rig),
-}
+}  # fmt: skip
 _TRACE_SECONDS = 2.0
 
 
@@ -56,10 +53,8 @@ _TRACE_SECONDS = 2.0
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 30
-    """Seeds of each learner."""
-    episodes: int = 300
-    """Starts on which each trained controller is evaluated at each λ."""
+    trainings: int = 30  # Seeds of each learner.
+    episodes: int = 300  # Starts on which each trained controller is evaluated at each λ.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -124,16 +119,11 @@ def run(job: Job) -> Result:
     return Result(rows, arrays)
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
 STYLES = {
-    REFERENCE: ("#0072B2", "o", "-"),
-    "LSPI, 120 s": ("#009E73", "D", "-."),
-    "LSPI, 60 s": ("#E69F00", "s", "--"),
-    "one-step Q, 120 s": ("#777777", "v", ":"),
-    "one-step Q, 12 000 s": ("#CC79A7", "P", ":"),
+    REFERENCE: ("#0072B2", "o", "-"), "LSPI, 120 s": ("#009E73", "D", "-."), "LSPI, 60 s": ("#E69F00", "s", "--"),
+    "one-step Q, 120 s": ("#777777", "v", ":"), "one-step Q, 12 000 s": ("#CC79A7", "P", ":"),
     TABLE1: ("#D55E00", "^", "--"),
-}
+}  # fmt: skip
 
 
 def report(table: Table) -> Report:
@@ -143,56 +133,50 @@ def report(table: Table) -> Report:
     saved = {which: mean_share(shares[which], rows["episodes"]) for which, rows in own.items()}
     found, success = [], []
     for name in STYLES:
-        error, experience, variation = (
-            own[name, LAMS[0]][column].to_numpy() for column in ("error", "experience", "variation")
-        )
+        mine = own[name, LAMS[0]]
+        error = mine["error"].to_numpy()
+        close, n = int((error <= CLOSE).sum()), len(error)
         if name not in (REFERENCE, TABLE1):
-            close = int((error <= CLOSE).sum())
-            errors = zip(("median", "90th percentile", "largest"), np.quantile(error, (0.5, 0.9, 1.0)), strict=True)
+            quantiles = zip(("median", "90th percentile", "largest"), np.quantile(error, (0.5, 0.9, 1.0)), strict=True)
             found.append(
-                {
-                    "learner": name,
-                    "found": replace(cell(share(close, len(error)), ".0%"), text=f"{close} of {len(error)}"),
-                }
-                | {f"{each} error, %": cell(value, ".2%") for each, value in errors}
-                | {"experience, s": cell(np.median(experience), ",.0f")}
+                {"learner": name, "found": replace(cell(share(close, n), ".0%"), text=f"{close} of {n}")}
+                | {f"{each} error, %": cell(value, ".2%") for each, value in quantiles}
+                | {"experience, s": float(np.median(mine["experience"]))}
             )
         cells = {}
         for lam in LAMS:
             gaps, said = 100 * (shares[name, lam] - shares[REFERENCE, lam]), cell(saved[name, lam], ".1%")
             cells[f"λ = {lam:g}"] = replace(said, under=f"{said.under}\n{min(gaps):+.1f} to {max(gaps):+.1f}".strip())
-        success.append({"controller": name} | cells | {"variation at λ = 0.1": cell(variation.mean(), ".4g")})
+        success.append({"controller": name} | cells | {"variation at λ = 0.1": float(np.mean(mine["variation"]))})
+    brief = ("controller", "λ = 0.1", "λ = 0.3", "variation at λ = 0.1")
     title = "Starts saved, %, and 95 % interval over trainings; below: widest gap of one to Riccati's"
+    gains = f"Gains within {CLOSE:.0%} of the Riccati gain, with intervals in %, and their error"
+    tables = [sheet(gains, found, {"experience, s": ",.0f"})]
+    tables += [sheet(title, success, {"variation at λ = 0.1": ".4g"}, brief=brief)]
     return Report(
-        figures=_overview(table, {name: {lam: saved[name, lam] for lam in LAMS} for name in STYLES}),
-        tables=[
-            sheet(f"Gains within {CLOSE:.0%} of the Riccati gain, with intervals in %, and their error", found),
-            sheet(title, success, brief=("controller", "λ = 0.1", "λ = 0.3", "variation at λ = 0.1")),
-        ],
+        figures=_overview(table, {name: {lam: saved[name, lam] for lam in LAMS} for name in STYLES}), tables=tables
     )
 
 
 def _overview(table: Table, saved: Mapping[str, Curve]) -> Figure:
     """Draw the gain's error against experience, success against λ, and a force trace of each kind."""
-    traced = {f"{name}, one episode at λ = 0.1": name for name in (REFERENCE, "LSPI, 120 s", TABLE1)}
-    layout = [[[["errors", "success"]]], *([title] for title in traced)]
+    traces = {
+        f"{name}, one episode at λ = 0.1": (table.array("force", controller=name, training=0), STYLES[name])
+        for name in (REFERENCE, "LSPI, 120 s", TABLE1)
+    }
+    layout = [[[["errors", "success"]]], *([title] for title in traces)]
     figure, axes = mosaic(layout, height=8.2, height_ratios=[4.2, 1, 1, 1])
     for name, style in STYLES.items():
         if errors := table.arrays("errors", controller=name):
             experience = table.arrays("experience", controller=name)[0]
             band(axes["errors"], experience, np.quantile(errors, QUARTILES, axis=0), style)
     axes["errors"].axhline(CLOSE, color="k", lw=0.8, ls="--")
-    axes["errors"].set(yscale="log", ylim=(4e-4, 4), xlabel="experience (s)", ylabel="error of the gain")
+    axes["errors"].set(ylim=(4e-4, 4), xlabel="experience (s)", ylabel="error of the gain", yscale="log")
     log_axis(axes["errors"])
     axes["errors"].set_title("median and quartiles over trainings")
-    curves(axes["success"], saved, STYLES, aside=0.016)
-    share_axis(axes["success"], "starts saved")
-    axes["success"].set(xlabel="greatest starting angle λ (rad)", xticks=LAMS)
-    for title, name in traced.items():
-        force = table.array("force", controller=name, training=0)
-        force_trace(axes[title], force, RIG.sample_time, _TRACE_SECONDS, STYLES[name][0], title)
-        axes[title].tick_params(labelbottom=name == TABLE1)
-        axes[title].set(xlabel="time (s)" * (name == TABLE1), ylabel="force on the cart (N)" * (name == "LSPI, 120 s"))
+    saved_by_angle(axes["success"], saved, STYLES, aside=0.016)
+    axes["success"].set_xticks(LAMS)
+    force_traces(axes, traces, RIG.sample_time, _TRACE_SECONDS)
     legend_above(figure, 3)
     return figure
 

@@ -1,11 +1,10 @@
 """Does the report's Q-learning converge with its own hyper-parameters, whatever it left unstated?
 
-Method: Algorithm 1 with the report's α = 0.0001, ε = 0.01, γ = 0.99, action set and Table 1 features on
-gustafsson2016, λ = 0.1, over combinations of what the report does not state: the weights of the state cost, the cost
-of a failed episode, whether the failed step still bootstraps (as Algorithm 1 is printed), and how many successes in a
-row are convergence. Also with link 1 alone falling, as the report says, and with both; and with and without the six
-features of the cart. Each combination is trained from several seeds, until it converges, a weight overflows, or the
-budget of episodes is spent; a controller that converged is then evaluated on fresh starts.
+Method: Algorithm 1 with the report's α = 0.0001, ε = 0.01, γ = 0.99, action set and Table 1 features on gustafsson2016,
+λ = 0.1, over what the report does not state: weights of the state cost, cost of a failed episode, whether the failed
+step still bootstraps (as Algorithm 1 is printed), and how many successes in a row are convergence; with link 1 alone
+falling, as the report says, and with both; with and without the six features of the cart.  Each training ends when it
+converges, a weight overflows, or the episodes are spent; what converged is evaluated on fresh starts.
 
 Finding: with all 18 features none of 480 trainings comes to 10 successes in a row, every one overflows; without the
 cart's six, by the report's criterion, 16 of 240 come to 20, at best 4 of 20 in one combination, against the report's
@@ -14,6 +13,7 @@ cart's six, by the report's criterion, 16 of 240 come to 20, at best 4 of 20 in 
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -24,7 +24,7 @@ import dpend
 from rl import LinearQLearning
 
 from . import _runner
-from ._estimates import Estimate, share
+from ._estimates import share
 from ._figures import facets, forest, legend_above, palette, share_axis
 from ._runner import Plant, Report, Result, Table, where
 from ._tables import sheet
@@ -37,21 +37,17 @@ WEIGHTS = {"0:1:1": (0.0, 10.0, 10.0), "1:1:1": (10.0, 10.0, 10.0), "1:10:10": (
 FAILURE_COSTS = (0.0, 100.0)
 BOOTSTRAPS = {"bootstraps": True, "ends": False}
 STREAKS = (10, 20, 50)
-
-REPORT_SHARE = 0.7
-"""Share of trainings that converged, as the report says."""
+REPORT_SHARE = 0.7  # share of trainings that converged, as the report says
+_LOOKS = tuple(palette(map(str, STREAKS)).values())
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options(_runner.OnRig):
     """Options of the command line."""
 
-    trainings: int = 20
-    """Seeds for each combination."""
-    max_episodes: int = 2000
-    """Budget of each training."""
-    episodes: int = 100
-    """Fresh starts at λ = 0.1 on which a converged controller is evaluated."""
+    trainings: int = 20  # Seeds for each combination.
+    max_episodes: int = 2000  # Budget of each training.
+    episodes: int = 100  # Fresh starts at λ = 0.1 on which a converged controller is evaluated.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -65,8 +61,7 @@ class Job:
     plant: Plant
     features: str
     criterion: str
-    weights: str
-    """Ratio of the cost's weights on position, angle 1 and angle 2."""
+    weights: str  # ratio of the cost's weights on position, angle 1 and angle 2
     trainings: int
     max_episodes: int
     episodes: int
@@ -79,16 +74,13 @@ class Row:
 
     failure_cost: float
     failed_step: str
-    streak: int
-    """Successes in a row that count as convergence."""
+    streak: int  # successes in a row that count as convergence
     training: int
     outcome: str
     training_episodes: int
     training_steps: int
-    successes: int
-    """Fresh starts saved, neither link falling; counted for converged trainings only."""
-    successes_report: int
-    """The same by the report's criterion."""
+    successes: int  # fresh starts saved, neither link falling; counted for converged trainings only
+    successes_report: int  # the same by the report's criterion
 
 
 def jobs(options: Options) -> list[Job]:
@@ -117,19 +109,12 @@ def run(job: Job) -> Result:
                         test = replace(task, criterion=name)
                         starts = test.starts(np.random.default_rng([job.seed, 4, k]), job.episodes, rig)
                         saved[name] = int(dpend.simulate_many(rig, training.policy, starts, task=test).success.sum())
-                    rows.append(
-                        Row(
-                            failure_cost=failure_cost,
-                            failed_step=failed_step,
-                            streak=streak,
-                            training=k,
-                            outcome=training.outcome.name.lower().replace("_", " "),
-                            training_episodes=training.cost.episodes,
-                            training_steps=training.cost.steps,
-                            successes=saved["strict"],
-                            successes_report=saved["report"],
-                        )
-                    )
+                    rows.append(Row(
+                        failure_cost=failure_cost, failed_step=failed_step, streak=streak, training=k,
+                        outcome=training.outcome.name.lower().replace("_", " "),
+                        training_episodes=training.cost.episodes, training_steps=training.cost.steps,
+                        successes=saved["strict"], successes_report=saved["report"],
+                    ))  # fmt: skip
     return Result(rows)
 
 
@@ -144,50 +129,36 @@ def report(table: Table) -> Report:
     """
     figure, axes = facets(2, 2, height=6.6, sharex=True, sharey=True)
     lines = []
-    for i, kind in enumerate(FEATURES):
-        for j, criterion in enumerate(CRITERIA):
-            own = table.where(features=kind, criterion=criterion)
-            for (streak, style), aside in zip(palette(map(str, STREAKS)).items(), (-0.22, 0.0, 0.22), strict=True):
-                rates = {name: _share(where(each, streak=int(streak))) for name, each in _combinations(own).items()}
-                forest(axes[j, i], rates, style, aside=aside, label=f"{streak} successes in a row")
-            axes[j, i].set_title(f"{kind}, {criterion}")
-            lines.append(_line(kind, criterion, own))
-    for axis in axes.flat:
+    for axis, (kind, criterion) in zip(axes.T.flat, itertools.product(FEATURES, CRITERIA), strict=True):
+        own = table.where(features=kind, criterion=criterion)
+        combinations = {
+            streak: {
+                f"{w}, {f:g}, {b}": where(own, weights=w, failure_cost=f, failed_step=b, streak=streak)
+                for w, f, b in itertools.product(WEIGHTS, FAILURE_COSTS, BOOTSTRAPS)
+            }
+            for streak in STREAKS
+        }
+        for (streak, of), style, aside in zip(combinations.items(), _LOOKS, (-0.22, 0.0, 0.22), strict=True):
+            rates = {name: share(_converged(each), len(each)) for name, each in of.items()}
+            forest(axis, rates, style, aside=aside, label=f"{streak} successes in a row")
+        axis.set_title(f"{kind}, {criterion}")
         axis.axvline(REPORT_SHARE, color="k", ls="--", lw=1, label="the report")
         share_axis(axis, along="x")
+        counts = [_converged(where(own, streak=streak)) for streak in STREAKS]
+        best, done = max(combinations[20].values(), key=_converged), where(own, outcome="converged")
+        lines.append({
+            "features": kind,
+            "falling is": criterion,
+            "converged: 10 / 20 / 50 in a row": f"{' / '.join(map(str, counts))} of {len(own) // len(STREAKS)}",
+            "most in one combination, 20 in a row": f"{_converged(best)} of {len(best)}",
+            **{outcome: len(where(own, outcome=outcome)) for outcome in ("diverged", "budget spent")},
+            "converged save, %": (done["successes"] / done["episodes"]).to_numpy().mean() if len(done) else math.nan,
+        })  # fmt: skip
     figure.supxlabel("trainings that converge")
     figure.supylabel("cost weights p:θ1:θ2, failure cost, failed step")
     legend_above(figure, 4)
     title = "The report's Q-learning, to the letter, over all choices of what it left unstated"
     return Report(figures=figure, tables=[sheet(title, lines, {"converged save, %": ".0%"})])
-
-
-def _share(rows: pd.DataFrame) -> Estimate:
-    return share(_converged(rows), len(rows))
-
-
-def _combinations(rows: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    return {
-        f"{w}, {f:g}, {b}": where(rows, weights=w, failure_cost=f, failed_step=b)
-        for w in WEIGHTS
-        for f in FAILURE_COSTS
-        for b in BOOTSTRAPS
-    }
-
-
-def _line(kind: str, criterion: str, own: pd.DataFrame) -> dict[str, Estimate | str | int | float]:
-    by_streak = [where(own, streak=streak) for streak in STREAKS]
-    best = max((where(each, streak=20) for each in _combinations(own).values()), key=_converged)
-    done = where(own, outcome="converged")
-    return {
-        "features": kind,
-        "falling is": criterion,
-        "converged: 10 / 20 / 50 in a row": " / ".join(str(_converged(each)) for each in by_streak)
-        + f" of {len(by_streak[0])}",
-        "most in one combination, 20 in a row": f"{_converged(best)} of {len(best)}",
-        **{outcome: len(where(own, outcome=outcome)) for outcome in ("diverged", "budget spent")},
-        "converged save, %": (done["successes"] / done["episodes"]).to_numpy().mean() if len(done) else math.nan,
-    }
 
 
 if __name__ == "__main__":

@@ -1,31 +1,29 @@
 """From which starts can the double pendulum be saved at all?
 
 Method: gustafsson2016 (40 N, 2.4 m), starts at rest, 300 samples, neither link beyond a right angle.  A start is
-recoverable if any controller of a list saves it in the simulator, or optimal control does: the motion that asks for
-the least force (controllers/least_force.py), its forces replayed from the exact start, then LQR.  A controller of yours
-(``--controller path.py:factory``) is tried on what is left.  What then is left is "not found": no proof that there is
-nothing.  Beside it stands an indicator, the null-controllable set of the two unstable modes of the linearisation.
-Random starts are those of studies.lambda_sweep; a grid of (θ1, θ2) gives the map.
+recoverable if any controller of a list, or one of yours (``--controller``), saves it in the simulator, or the motion of
+least force does (controllers/least_force.py), its forces replayed from the exact start, then LQR.  What is left is "not
+found", which is no proof.  Beside it stands an indicator, the null-controllable set of the linearisation's two unstable
+modes.  Random starts are those of studies.lambda_sweep; a grid of (θ1, θ2) gives the map.
 
-Finding: at λ = .1/.2/.3/.4/.5/.6 100/100/98.7/86.5/73.8/60.1 % of 1000 starts each (95 %: ±1 to ±3), where LQR
-saves 100/99.8/84.5/64.5/47.2/35.2 %.  What is found needs at most 39.99 N, what is not at least 40.04 N.  Of the
-recoverable among the first 200, iLQR MPC saves 99.5 % at λ = .3 and 97.6 % at .4.  By the report's criterion, which
-lets link 2 swing round, all but 18 of 7000 starts are recoverable.  From the default options, kept in
-docs/results/recoverable.
+Finding: at λ = .1/.2/.3/.4/.5/.6 100/100/98.7/86.5/73.8/60.1 % of 1000 starts each (95 %: ±1 to ±3), where LQR saves
+100/99.8/84.5/64.5/47.2/35.2 %.  What is found needs at most 39.99 N, what is not at least 40.04 N.  Of the recoverable
+among the first 200, iLQR MPC saves 99.5 % at λ = .3 and 97.6 % at .4.  By the report's criterion, which lets link 2
+swing round, all but 18 of 7000 starts are recoverable.  From the default options, kept in docs/results/recoverable.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 import dpend
@@ -34,14 +32,14 @@ from dpend.tasks import check_lam
 
 from . import _field, _runner
 from ._closure import kept_table
-from ._estimates import Estimate, share
-from ._figures import Style, curves, facets, share_axis
+from ._estimates import share
+from ._figures import Style, facets, saved_by_angle
 from ._null_controllable import null_controllable
 from ._own import Own
 from ._rescue import FORCE, LAWS, MPC, NONE, OPTIMAL, RIG, Verdict, judge
 from ._runner import Report, Result, Table
-from ._table import read_rows
-from ._tables import Sheet, Value, sheet
+from ._table import read_rows, where
+from ._tables import Value, sheet
 
 MINUTES = 111
 
@@ -49,13 +47,7 @@ _CHUNK = 50  # starts a job
 
 
 def check_spreads(lam: tuple[float, ...]) -> None:
-    """Refuse what is no list of greatest starting angles.
-
-    Raises
-    ------
-    ValueError
-        If there is none, one is named twice, or one is no such angle.
-    """
+    """Refuse what is no list of greatest starting angles, each named once."""
     if not lam:
         raise ValueError("--lam needs at least one angle.")
     for each in lam:
@@ -68,18 +60,13 @@ def check_spreads(lam: tuple[float, ...]) -> None:
 class Options(_field.Options):
     """Options of the command line."""
 
-    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-    """Greatest starting angles, rad."""
-    starts: int = 1000
-    """Starts at each λ."""
+    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
+    starts: int = 1000  # Starts at each λ.
     grid: int = 41
     """Points on each side of the map; none for no map.  One half is computed, the other is its mirror image."""
-    extent: float = 0.8
-    """Greatest angle on the map, rad."""
-    planned: int = 200
-    """iLQR MPC is tried on the first so many starts of ``planned_lam``, whatever else saves them."""
-    planned_lam: tuple[float, ...] = (0.3, 0.4)
-    """Each λ at which iLQR MPC is compared with what can be saved."""
+    extent: float = 0.8  # Greatest angle on the map, rad.
+    planned: int = 200  # iLQR MPC is tried on the first so many starts of planned_lam, whatever else saves them.
+    planned_lam: tuple[float, ...] = (0.3, 0.4)  # Each λ at which iLQR MPC is compared with what can be saved.
     guesses: int = 0
     """Random guesses of optimal control beside the first one: a check that the least force is no mere local minimum."""
 
@@ -94,23 +81,16 @@ class Options(_field.Options):
             raise ValueError(f"--extent must be between 0 and pi/2 rad; got {self.extent}.")
 
 
-# ------------------------------------------------------------------------------------------------------------ the study
-
-
 @dataclass(frozen=True)
 class Job:
     """Fifty starts, or what is left of them, at one λ or on the map."""
 
-    lam: float | None
-    """None on the map."""
+    lam: float | None  # None on the map
     first: int
     starts: int
-    planned: int
-    """Of these iLQR MPC is tried on the first, whatever else saves them."""
-    side: int
-    """Points on a side of the map."""
-    extent: float
-    """Greatest angle on it, rad."""
+    planned: int  # of these iLQR MPC is tried on the first, whatever else saves them
+    side: int  # points on a side of the map
+    extent: float  # greatest angle on it, rad
     guesses: int
     seed: int
     yours: tuple[Own, ...]
@@ -156,13 +136,11 @@ def run(job: Job) -> Result:
     x0 = x0[job.first : job.first + job.starts]
     yours = [_field.find("", own) for own in job.yours]
     verdicts = judge(x0, task, everywhere=job.lam is None, planned=job.planned, guesses=job.guesses, yours=yours)
-    return Result(
-        [
-            {"index": job.first + i, "th1": round(float(start[1]), 5), "th2": round(float(start[2]), 5)}
-            | rounded(verdict)._asdict()
-            for i, (start, verdict) in enumerate(zip(x0, verdicts, strict=True))
-        ]
-    )
+    return Result([
+        {"index": job.first + i, "th1": round(float(start[1]), 5), "th2": round(float(start[2]), 5)}
+        | rounded(verdict)._asdict()
+        for i, (start, verdict) in enumerate(zip(x0, verdicts, strict=True))
+    ])  # fmt: skip
 
 
 def rounded(verdict: Verdict) -> Verdict:
@@ -177,25 +155,14 @@ def shipped_rows() -> pd.DataFrame:
 
 
 def shipped() -> dict[float, npt.NDArray[np.bool_]]:
-    """Return which starts are recoverable, by λ: row ``i`` is start ``i`` of seed 0, from the shipped table.
-
-    Returns
-    -------
-    dict
-        Arrays ``(n,)`` of the starts ``Balance(lam).starts(default_rng([0, 1]), n, rig)``.
-    """
+    """Return which starts ``Balance(lam).starts(default_rng([0, 1]), n, rig)`` are recoverable, ``(n,)`` by λ."""
     return {lam: own["recoverable"].to_numpy() for lam, own in _by_lam(shipped_rows()).items()}
 
 
 def shipped_map() -> tuple[Array, Array]:
-    """Return the least force that saves a start at rest, over both angles, from the table that is shipped.
+    """Return angles of either link ``(m,)``, rad, and the least force ``(m, m)`` from there at rest, by θ2 and θ1.
 
-    Returns
-    -------
-    angles : ndarray (m,)
-        Of either link, rad.
-    force : ndarray (m, m)
-        N, by θ2 and θ1; NaN where no motion was found.
+    N, from the table that is shipped; NaN where no motion was found.
     """
     on_map = _on_map(shipped_rows())
     return _mirrored(on_map, on_map["least_force"])
@@ -221,8 +188,6 @@ def _mirrored(on_map: pd.DataFrame, values: npt.ArrayLike) -> tuple[Array, Array
     return angles, whole
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
 _CURVES: dict[str, tuple[Style, str]] = {
     "recoverable by the report's criterion (link 1 alone)": (("#777777", "v", ":"), "report"),
     "recoverable": (("k", "o", "-"), "recoverable"),
@@ -233,86 +198,64 @@ _CURVES: dict[str, tuple[Style, str]] = {
 
 def report(table: Table) -> Report:
     """Draw the share that can be saved against λ, and the map; tabulate what saves it."""
-    by_lam = _by_lam(table.rows)
+    by_lam, on_map = _by_lam(table.rows), _on_map(table.rows)
     shares = {
         name: {lam: share(own[column], len(own)) for lam, own in by_lam.items()}
         for name, (_, column) in _CURVES.items()
     }  # fmt: skip
     figure, ((axis,),) = facets(1, height=3.8)
-    curves(axis, shares, [style for style, _ in _CURVES.values()])
-    share_axis(axis, "starts saved")
-    axis.set_xlabel("greatest starting angle λ (rad)")
+    saved_by_angle(axis, shares, [style for style, _ in _CURVES.values()])
     axis.legend(loc="lower left")
-    figures = {"": figure}
-    on_map = _on_map(table.rows)
-    if len(on_map):
-        figures["_map"], ((axis,),) = facets(1, height=6.0)
-        _plot_map(axis, on_map)
-    return Report(figures=figures, tables=[_shares_table(by_lam, shares), _ways_table(by_lam), *_planned_table(by_lam)])
+    figures = {"": figure} | ({"_map": _plot_map(on_map)} if len(on_map) else {})
+    heading = "λ = {:g}".format
+    counts: dict[str, Value] = {"": "starts", **{heading(lam): len(own) for lam, own in by_lam.items()}}
+    saved = [{"": name} | {heading(lam): each for lam, each in of.items()} for name, of in reversed(shares.items())]
+    ways = dict.fromkeys((*LAWS, OPTIMAL, MPC, *(by for own in by_lam.values() for by in own["by"] if by != NONE)))
+    first = [
+        {"": "not found" if way == NONE else way}
+        | {heading(lam): int(np.sum(own["by"] == way)) for lam, own in by_lam.items()}
+        for way in (*ways, NONE)
+    ]
+    tables = [
+        sheet("Starts that are saved, %", [counts, *saved], ".1%", brief={"", *list(counts)[-4:]}),
+        sheet("What saved a start first, in this order", first),
+        sheet("Of the recoverable among the first starts: saved, %", _planned(by_lam)),
+    ]
+    return Report(figures=figures, tables=[each for each in tables if each.lines])
 
 
-def _plot_map(axis: Axes, rows: pd.DataFrame) -> None:
+def _plot_map(rows: pd.DataFrame) -> Figure:
     """Draw what saves each start, the least force as contours, and the indicator's boundary."""
+    figure, ((axis,),) = facets(1, height=6.0)
     feedback = np.where(rows["lqr"], 3, np.where(rows["by"].isin(list(LAWS)), 2, 1))
     angles, kind = _mirrored(rows, np.where(rows["recoverable"], feedback, 0))
     force = _mirrored(rows, rows["least_force"])[1]
-    colours = ["#f0f0f0", "#b8b8b8", "#8ab6dc", "#2d6da8"]
-    words = ["not found", "only optimal control or others", "another LQR or its sign", "LQR, Q = I, R = 1"]
-    axis.pcolormesh(angles, angles, kind, cmap=ListedColormap(colours), vmin=-0.5, vmax=3.5, shading="nearest")
+    words = {"not found": "#f0f0f0", "only optimal control or others": "#b8b8b8", "another LQR or its sign": "#8ab6dc",
+             "LQR, Q = I, R = 1": "#2d6da8"}  # fmt: skip
+    colours = ListedColormap(list(words.values()))
+    axis.pcolormesh(angles, angles, kind, cmap=colours, vmin=-0.5, vmax=3.5, shading="nearest")
     if len(angles) > 4:
         levels = axis.contour(angles, angles, force, [10, 20, 40, 80], colors="k", linewidths=[0.6, 0.6, 1.6, 0.6])
         axis.clabel(levels, fmt="%g N", fontsize=7)
-    ring = null_controllable(RIG.params, FORCE).at_rest()
-    (line,) = axis.plot(*np.vstack([ring, ring[:1]]).T, "--", color="#D55E00", lw=1.6)
-    patches = [Patch(facecolor=colour, edgecolor="k", lw=0.4) for colour in reversed(colours)]
-    axis.legend(
-        [*patches, line], [*reversed(words), "null-controllable set of the linearization, 40 N"],
-        ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0),
-    )  # fmt: skip
+    ring, of = null_controllable(RIG.params, FORCE).at_rest(), "null-controllable set of the linearization, 40 N"
+    (line,) = axis.plot(*np.vstack([ring, ring[:1]]).T, "--", color="#D55E00", lw=1.6, label=of)
+    patches = [Patch(facecolor=colour, edgecolor="k", lw=0.4, label=name) for name, colour in words.items()]
+    axis.legend(handles=[*reversed(patches), line], ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     limits = 1.02 * angles[0] - 0.02, 1.02 * angles[-1] + 0.02
     axis.set(xlabel="θ1 (rad)", ylabel="θ2 (rad)", xlim=limits, ylim=limits, aspect="equal")
+    return figure
 
 
-def _shares_table(by_lam: Mapping[float, pd.DataFrame], shares: Mapping[str, Mapping[float, Estimate]]) -> Sheet:
-    counts: dict[str, Value] = {"": "starts", **{f"λ = {lam:g}": len(own) for lam, own in by_lam.items()}}
-    lines = [{"": name} | {f"λ = {lam:g}": each for lam, each in of.items()} for name, of in shares.items()]
-    return sheet("Starts that are saved, %", [counts, *reversed(lines)], ".1%", brief={"", *list(counts)[-4:]})
-
-
-def _ways_table(by_lam: Mapping[float, pd.DataFrame]) -> Sheet:
-    ours = (*LAWS, OPTIMAL, MPC)
-    yours = dict.fromkeys(by for own in by_lam.values() for by in own["by"] if by not in (*ours, NONE))
-    lines = [
-        {"": "not found" if name == NONE else name}
-        | {f"λ = {lam:g}": int(np.sum(own["by"] == name)) for lam, own in by_lam.items()}
-        for name in (*ours, *yours, NONE)
-    ]
-    return sheet("What saved a start first, in this order", lines)
-
-
-def _planned_table(by_lam: Mapping[float, pd.DataFrame]) -> list[Sheet]:
-    lines: list[dict[str, Value]] = []
+def _planned(by_lam: Mapping[float, pd.DataFrame]) -> Iterator[dict[str, Value]]:
+    """Return what is saved of the first starts, on which iLQR MPC was tried without a gap whatever else saves them."""
     for lam, own in by_lam.items():
-        first = own[own["index"] < _planned(own)]
-        can = first[first["recoverable"]]
-        if len(can):
-            saved = {
-                "LQR, %": can["lqr"],
-                "sign of stiff LQR, %": can["stiff_sign"],
-                "iLQR MPC, %": can["mpc"] == "yes",
-            }
-            lines.append(
-                {"λ": f"{lam:g}", "first": len(first), "recoverable": len(can)}
-                | {name: share(each, len(can)) for name, each in saved.items()}
-            )
-    return [sheet("Of the recoverable among the first starts: saved, %", lines)] if lines else []
-
-
-def _planned(rows: pd.DataFrame) -> int:
-    """Return on how many of the first starts iLQR MPC was tried without a gap, if on any that feedback saves."""
-    tried = (rows["mpc"] != "-").to_numpy()
-    n = len(tried) if tried.all() else int(np.argmin(tried))
-    return n if rows["lqr"].to_numpy()[:n].any() else 0
+        tried = (own["mpc"] != "-").to_numpy()
+        n = len(tried) if tried.all() else int(np.argmin(tried))
+        can = where(own.head(n), recoverable=True)
+        if len(can) and own["lqr"].to_numpy()[:n].any():  # else it was only tried where all else fails
+            saved = {"LQR": can["lqr"], "sign of stiff LQR": can["stiff_sign"], "iLQR MPC": can["mpc"] == "yes"}
+            shares = {f"{name}, %": share(each, len(can)) for name, each in saved.items()}
+            yield {"λ": f"{lam:g}", "first": n, "recoverable": len(can), **shares}
 
 
 if __name__ == "__main__":

@@ -1,20 +1,15 @@
 """Which controllers still balance, and still swing up, when the rig is not what was promised?
 
 Method: gustafsson2016 (±40 N, ±2.4 m, 0.02 s) is changed behind the back of controllers that believe in it, 10 s a
-run: balance from λ = 0.1, swing-up from hanging with both angles moved by ±0.1 rad.  (a) RealAIGym's six axes: one
-parameter of twelve wrong by up to 25 %, noise of the rates, noise of the force, a slow force, measurements late by 20
-and 40 ms, pushes.  (b) All parameters wrong by up to 20 % at once, on the plants of a scrambled Sobol sequence.
-(c) Sensors that measure positions only, noisy, rounded or late, and a slow force, through first differences or an
-estimator.  All contenders have the same starts, noise, pushes and plants; those that take long the first of them, NMPC
-none unless asked for.  The robustness score is the success in the settings of (a), the nominal one left out, the mean
-over its six axes.
+run: balance from λ = 0.1, swing-up from hanging.  (a) RealAIGym's six axes: one parameter of twelve wrong by up to a
+quarter, noise of rates and of the force, a slow force, late measurements, pushes; the score is the mean success over
+the axes.  (b) All parameters wrong by up to 20 % at once.  (c) Real sensors, through first differences or an estimator.
 
 Finding: one wrong parameter and noise of the force hurt hardly any that balances.  With two samples of delay nearly all
-fail but the linear laws and SDRE; with pushes of a fifth of RealAIGym's largest nearly all fail.
-Scores at balancing: LSPI 86.7, LQR 84.8, iLQR MPC 76 [72, 80], Q-learning tuned 72.9, PPO and DDPG trained to swing up
-66.2 and 58.6 %.  At swinging up: iLQR MPC 83 [71, 96], TVLQR 65.1 %; wrong by 20 % in everything 56 [39, 72] and
-10 [7, 14] %.  Behind EKF or UKF, LQR and TVLQR bear three samples of delay always; through differences LQR bears one,
-TVLQR none.  From the default options, kept in docs/results/robustness.
+fail but the linear laws and SDRE; with pushes of a fifth of RealAIGym's largest nearly all fail.  Scores at balancing:
+LSPI 86.7, LQR 84.8, iLQR MPC 76 [72, 80], Q-learning tuned 72.9, PPO and DDPG trained to swing up 66.2 and 58.6 %; at
+swinging up: iLQR MPC 83 [71, 96], TVLQR 65.1 %; wrong by 20 % in everything 56 [39, 72] and 10 [7, 14] %.
+Behind EKF or UKF, LQR and TVLQR bear three samples of delay always; through differences LQR one, TVLQR none.
 """
 
 from __future__ import annotations
@@ -26,7 +21,6 @@ from functools import partial
 from typing import get_args
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, PercentFormatter
 
@@ -39,7 +33,7 @@ from ._figures import Curve, Style, curves, facets, forest, heat_map, intervals,
 from ._own import Own
 from ._perturbations import AXES, GROUPS, NOMINAL, PARAMETERS, SENSORS, VIEWS, Axis, of_groups, realaigym, views
 from ._runner import Report, Result, Table, where
-from ._tables import Cell, Sheet, Value, cell, sheet
+from ._tables import Cell, Sheet, cell, sheet
 
 MINUTES = 60
 
@@ -68,12 +62,9 @@ class Options(_field.Options):
 
     def contenders(self, task: TaskName) -> list[Contender]:
         """Return those that do a task and are not too slow; where it must be quick, two of ours and the user's own."""
-        return [
-            contender
-            for contender in super().contenders(task)
-            if (contender.cost is not Cost.EXPENSIVE or self.all or contender.name in self.only)
-            and (not self.quick or contender.own or contender.name in (*self.only, "LQR", "TVLQR"))
-        ]
+        kept = (*self.only, "LQR", "TVLQR")
+        quick = [each for each in super().contenders(task) if not self.quick or each.own or each.name in kept]
+        return [each for each in quick if each.cost is not Cost.EXPENSIVE or self.all or each.name in self.only]
 
     def starts_of(self, contender: Contender) -> int:
         """Return the starts of a contender in each setting."""
@@ -105,7 +96,7 @@ class Job:
 
 def jobs(options: Options) -> list[Job]:
     """List the work, what takes longest first."""
-    found = []
+    found, sensors = [], [(axis.name, view) for axis in SENSORS for view in views(axis)]
     for task in TASKS:
         for contender in options.contenders(task):
             starts = options.starts_of(contender)
@@ -114,11 +105,7 @@ def jobs(options: Options) -> list[Job]:
             found += [job(part="plants", starts=_STARTS_A_PLANT, plants=options.plants_of(contender))]
             if contender.cost is Cost.CHEAP or contender.own or options.all:
                 few = -(-starts // 10) if contender.cost is Cost.CHEAP else starts
-                found += [
-                    job(part="sensors", axis=axis.name, view=view, starts=few)
-                    for axis in SENSORS
-                    for view in views(axis)
-                ]
+                found += [job(part="sensors", axis=axis, view=view, starts=few) for axis, view in sensors]
     return sorted(found, key=lambda job: find(job.contender, job.own).cost.value)
 
 
@@ -143,17 +130,8 @@ def run(job: Job) -> Result:
     return Result(rows, {"outcomes": outcomes.astype(np.bool_)})
 
 
-# ------------------------------------------------------------------------------------------------- what the table says
-
-
 def outcomes_of(table: Table, contender: str, task: TaskName) -> dict[str, Array]:
-    """Return the outcomes ``(starts, levels)`` of a contender at a task by the name of the axis.
-
-    Raises
-    ------
-    KeyError
-        If the table has nothing of it.
-    """
+    """Return a contender's outcomes ``(starts, levels)`` by name of the axis; a KeyError if the table has none."""
     own = {"contender": contender, "task": task, "part": "axes"}
     axes = table.where(**own)["axis"].unique()
     if not len(axes):
@@ -162,34 +140,14 @@ def outcomes_of(table: Table, contender: str, task: TaskName) -> dict[str, Array
 
 
 def score(table: Table, contender: str, task: TaskName) -> Estimate:
-    """Return the robustness score: success in perturbed settings, the mean over RealAIGym's six axes.
-
-    Parameters
-    ----------
-    table : Table
-        The table.
-    contender : str
-        Its name.
-    task : {"balance", "swing-up"}
-        The task.
-
-    Returns
-    -------
-    Estimate
-        The nominal level is not counted; 95 % over starts.
-
-    Raises
-    ------
-    KeyError
-        If the table has nothing of it.
-    """
+    """Return the robustness score, see :func:`studies._perturbations.score`; a KeyError if the table has none."""
     return _perturbations.score(outcomes_of(table, contender, task))
 
 
 def breaking(outcomes: Mapping[str, Array], axis: Axis, sign: int = 1) -> Estimate:
-    """Return the level of an axis, without its sign, at which success falls to 50 % on one side of nominal.
+    """Return the level, without its sign, at which success falls to 50 % on one side of nominal; infinite if it stays.
 
-    It is infinite where success stays, minus infinite where half of the nominal runs fail already.
+    It is minus infinite where half of the nominal runs fail already.
     """
     levels = sign * np.array(axis.levels)
     side = [i for i in np.argsort(levels) if levels[i] > 0]
@@ -200,30 +158,23 @@ def breaking(outcomes: Mapping[str, Array], axis: Axis, sign: int = 1) -> Estima
 def weakest(outcomes: Mapping[str, Array]) -> tuple[str, int, Estimate]:
     """Return the parameter, the sign and the size of the least error of one parameter that halves success."""
     sides = [(axis, sign) for axis in AXES if axis.name in PARAMETERS for sign in (-1, 1)]
-    least, axis, sign = min(
-        ((breaking(outcomes, axis, sign), axis, sign) for axis, sign in sides),
-        key=lambda found: (found[0].value, outcomes[found[1].name][:, 0 if found[2] < 0 else -1].mean()),
-    )
-    return axis.name, sign, least
+    found = {(axis.name, sign): breaking(outcomes, axis, sign) for axis, sign in sides}
+    name, sign = min(found, key=lambda at: (found[at].value, outcomes[at[0]][:, 0 if at[1] < 0 else -1].mean()))
+    return name, sign, found[name, sign]
 
 
 def on_plants(table: Table, contender: str, task: TaskName) -> tuple[Array, Estimate, Estimate]:
     """Return the shares of success, plant by plant, their mean, and that of the worst tenth."""
     outcomes = table.array("outcomes", contender=contender, task=task, part="plants")
     shares = outcomes.mean(axis=0)
-    return shares, mean_share(shares, outcomes.size), worst_cases(shares, 0.1)
+    return shares, mean_share(shares, outcomes.size), worst_cases(shares)
 
-
-# -------------------------------------------------------------------------------------------------------------- report
 
 _LEARNED = {contender.name for contender in CONTENDERS if contender.policy or contender.learner}
-_VIEW_STYLES: dict[str, Style] = {
-    "rates measured": ("#000000", "X", ":"),
-    "differences": ("#D55E00", "s", "--"),
-    "differences, Predictor": ("#CC79A7", "v", "-."),
-    "EKF": ("#0072B2", "o", "-"),
-    "UKF": ("#009E73", "^", (0, (6, 1, 1, 1))),
-}
+_VIEW_STYLES: Mapping[str, Style] = dict(zip(VIEWS, (
+    ("#000000", "X", ":"), ("#D55E00", "s", "--"), ("#CC79A7", "v", "-."), ("#0072B2", "o", "-"),
+    ("#009E73", "^", (0, (6, 1, 1, 1))),
+), strict=True))  # fmt: skip
 _TITLES = {"balance": "balance", "swing-up": "swing-up from hanging"}
 
 
@@ -240,10 +191,10 @@ def _each(table: Table, part: str = "axes") -> Iterator[tuple[str, TaskName]]:
 def report(table: Table) -> Report:
     """Draw the overview, single parameters, success against level for both tasks, plants and sensors; tabulate them."""
     tasks: list[TaskName] = [task for task in TASKS if _present(table, task)]
-    figures = {
-        "": _heat_maps(table, _overview, (0.5, len(GROUPS) + 0.5, len(GROUPS) + 1.5)),
-        "_parameters": _heat_maps(table, _least),
-    }
+    figures = {"": _heat_maps(table, _overview), "_parameters": _heat_maps(table, _least)}
+    for axis in figures[""].axes:
+        for line in (0.5, len(GROUPS) + 0.5, len(GROUPS) + 1.5):  # between the nominal rig, the axes, and their sums
+            axis.axvline(line, color="w", lw=3)
     figures |= {f"_{task.replace('-', '_')}": _plot_axes(table, task) for task in tasks}
     figures["_plants"] = _plot_plants(table, tasks)
     if "sensors" in set(table.rows["part"]):
@@ -252,9 +203,7 @@ def report(table: Table) -> Report:
     return Report(figures=figures, tables=[each for each in tables if each.lines])
 
 
-def _heat_maps(
-    table: Table, line: Callable[[Table, str, TaskName], Mapping[str, float]], lines: Sequence[float] = ()
-) -> Figure:
+def _heat_maps(table: Table, line: Callable[[Table, str, TaskName], Mapping[str, Estimate]]) -> Figure:
     """Draw shares as numbers on colours: a panel a task, a row a contender."""
     values = {task: {name: line(table, name, task) for name in of} for task in TASKS if (of := _present(table, task))}
     sizes = [len(of) for of in values.values()]
@@ -262,26 +211,27 @@ def _heat_maps(
     figure, axes = facets(len(sizes), height=height, width=7.0, sharex=True, height_ratios=sizes)
     for axis, (task, of) in zip(axes[:, 0], values.items(), strict=True):
         columns = [column.replace("_", " ") for column in next(iter(of.values()))]
-        heat_map(axis, np.array([list(shares.values()) for shares in of.values()]), list(of), columns)
-        for line_at in lines:
-            axis.axvline(line_at, color="w", lw=3)
+        heat_map(axis, np.array([[each.value for each in row.values()] for row in of.values()]), list(of), columns)
         axis.set_title(_TITLES[task])
     return figure
 
 
-def _overview(table: Table, name: str, task: TaskName) -> dict[str, float]:
-    """Return success on the nominal rig, along each axis, and on plants wrong in everything."""
-    outcomes = outcomes_of(table, name, task)
-    _, mean, tail = on_plants(table, name, task)
+def _by_axis(outcomes: Mapping[str, Array]) -> dict[str, Estimate]:
+    """Return success on the nominal rig and along each of the six axes, and the mean over these."""
     shares = {"nominal": outcomes[NOMINAL.name], **of_groups(outcomes)}
-    sums = {"score": _perturbations.score(outcomes), "all wrong, mean": mean, "all wrong, worst tenth": tail}
-    return {group: float(of.mean()) for group, of in shares.items()} | {what: of.value for what, of in sums.items()}
+    return {group: Estimate(of.mean()) for group, of in shares.items()} | {"score": _perturbations.score(outcomes)}
 
 
-def _least(table: Table, name: str, task: TaskName) -> dict[str, float]:
+def _overview(table: Table, name: str, task: TaskName) -> dict[str, Estimate]:
+    """Return success on the nominal rig, along each axis, and on plants wrong in everything."""
+    _, mean, tail = on_plants(table, name, task)
+    return _by_axis(outcomes_of(table, name, task)) | {"all wrong, mean": mean, "all wrong, worst tenth": tail}
+
+
+def _least(table: Table, name: str, task: TaskName) -> dict[str, Estimate]:
     """Return the least success over the errors of each single parameter."""
     outcomes = outcomes_of(table, name, task)
-    return {axis.name: float(outcomes[axis.name].mean(axis=0).min()) for axis in AXES if axis.group == "model"}
+    return {axis.name: Estimate(outcomes[axis.name].mean(axis=0).min()) for axis in AXES if axis.group == "model"}
 
 
 def _shares(table: Table, axes: Sequence[str], **fields: str) -> Curve:
@@ -294,8 +244,7 @@ def _shares(table: Table, axes: Sequence[str], **fields: str) -> Curve:
 def _plot_axes(table: Table, task: TaskName) -> Figure:
     """Draw success against level: a row an axis, designed controllers on the left, learned ones on the right."""
     looks = _present(table, task)
-    sides = [[name for name in looks if (name in _LEARNED) == learned] for learned in (False, True)]
-    sides = [side for side in sides if side]
+    sides = [*filter(None, ([name for name in looks if (name in _LEARNED) == kind] for kind in (False, True)))]
     figure, axes = facets(len(GROUPS), len(sides), height=9.2, width=7.0, sharey=True, sharex="row")
     words = {axis.group: axis.words for axis in AXES} | {"model": "error of one parameter, eight pooled"}
     for group, row in zip(GROUPS, axes, strict=True):
@@ -344,16 +293,27 @@ def _plot_plants(table: Table, tasks: Sequence[TaskName]) -> Figure:
 
 
 def _plot_sensors(table: Table) -> Figure:
-    """Draw success against what is wrong with the sensors, for the first contender of each kind: a column an axis."""
+    """Draw success against what is wrong with the sensors, for the first contender of each kind: a column an axis.
+
+    The levels of noise and of encoders stand side by side.
+    """
     first = {(task, name in _LEARNED): name for name, task in reversed([*_each(table, "sensors")])}
     shown = [(first[kind], kind[0]) for kind in sorted(first)]
-    figure, axes = facets(
-        len(shown), len(SENSORS), height=0.9 + 1.45 * len(shown), width=7.0, sharey=True, sharex="col"
-    )
+    noise, encoders, *_ = SENSORS
+    named = {noise: [f"{each:g}" for each in noise.levels], encoders: [f"{1 / each:.0f}" for each in encoders.levels]}
+    rows = len(shown)
+    figure, axes = facets(rows, len(SENSORS), height=0.9 + 1.45 * rows, width=7.0, sharey=True, sharex="col")
     for (name, task), row in zip(shown, axes, strict=True):
         for of, axis in zip(SENSORS, row, strict=True):
-            kind = {"contender": name, "task": task, "part": "sensors"}
-            _draw_sensor(axis, of, {view: _shares(table, (of.name,), **kind, view=view) for view in views(of)})
+            for view in views(of):
+                curve = _shares(table, (of.name,), contender=name, task=task, part="sensors", view=view)
+                aside = 0.05 * (list(VIEWS).index(view) - 2) * (0.2 if of.name == "lag" else 1)
+                places = np.arange(len(curve)) if of in named else np.array(list(curve))
+                intervals(axis, places + aside, curve.values(), _VIEW_STYLES[view], label=view)
+            if of in named:
+                axis.set_xticks(range(len(of.levels)), named[of], rotation=45)
+            share_axis(axis)
+            axis.set_yticks((0, 0.5, 1))
         row[0].set_ylabel(f"{name},\n{task}")
     for of, axis in zip(SENSORS, axes[-1], strict=True):
         axis.set_xlabel(of.words.replace(" (", "\n("))
@@ -361,28 +321,12 @@ def _plot_sensors(table: Table) -> Figure:
     return figure
 
 
-def _draw_sensor(axis: Axes, of: Axis, by_view: Mapping[str, Curve]) -> None:
-    """Draw success by view at the levels of a sensor axis, those of noise and encoders side by side."""
-    named = {"noise": [f"{level:g}" for level in of.levels], "encoders": [f"{1 / level:.0f}" for level in of.levels]}
-    for view, curve in by_view.items():
-        aside = 0.05 * (list(VIEWS).index(view) - 2) * (0.2 if of.name == "lag" else 1)
-        places = np.arange(len(curve)) if of.name in named else np.array(list(curve))
-        intervals(axis, places + aside, curve.values(), _VIEW_STYLES[view], label=view)
-    if of.name in named:
-        axis.set_xticks(range(len(of.levels)), named[of.name], rotation=45)
-    share_axis(axis)
-    axis.set_yticks((0, 0.5, 1))
-
-
 def _scores(table: Table) -> Sheet:
-    lines: list[dict[str, Value]] = []
+    lines = []
     for name, task in _each(table):
         outcomes = outcomes_of(table, name, task)
-        line: dict[str, Value] = {"controller": name, "task": task, "runs": sum(of.size for of in outcomes.values())}
-        shares = {"nominal": outcomes[NOMINAL.name], **of_groups(outcomes)}
-        line |= {group: float(of.mean()) for group, of in shares.items()}
-        line |= {"score": _perturbations.score(outcomes), "RealAIGym's way": cell(realaigym(outcomes), ".3f")}
-        lines.append(line)
+        one = {"controller": name, "task": task, "runs": sum(of.size for of in outcomes.values())}
+        lines.append({**one, **_by_axis(outcomes), "RealAIGym's way": cell(realaigym(outcomes), ".3f")})
     title = "(a) Success, %, on each of the six axes, nominal left out; score: their mean"
     return sheet(title, lines, ".1%", brief=("controller", "task", "nominal", "score", "RealAIGym's way"))
 
@@ -396,15 +340,13 @@ def _level(found: Estimate, form: str, most: float, before: str = "") -> Cell:
 
 
 def _breaks(table: Table) -> Sheet:
-    lines: list[dict[str, Value]] = []
+    lines, others = [], [axis for axis in AXES if axis.group != "model"]
     for name, task in _each(table):
         outcomes = outcomes_of(table, name, task)
         parameter, sign, least = weakest(outcomes)
         before = f"{parameter.replace('_', ' ')} {'−' if sign < 0 else '+'}"
-        line: dict[str, Value] = {"controller": name, "task": task}
-        line["one parameter, % wrong"] = _level(least, ".0%", 0.25, before)
-        others = [axis for axis in AXES if axis.group != "model"]
-        lines.append(line | {axis.name: _level(breaking(outcomes, axis), ".2g", axis.levels[-1]) for axis in others})
+        one = {"controller": name, "task": task, "one parameter, % wrong": _level(least, ".0%", 0.25, before)}
+        lines.append(one | {axis.name: _level(breaking(outcomes, axis), ".2g", axis.levels[-1]) for axis in others})
     return sheet("(a) Level at which success falls to 50 %; a dash where it is below that already", lines)
 
 
@@ -412,8 +354,8 @@ def _plants(table: Table) -> Sheet:
     lines = []
     for name, task in _each(table, "plants"):
         shares, mean, tail = on_plants(table, name, task)
-        own: dict[str, Value] = {"mean": mean, "worst tenth (CVaR)": tail, "worst plant": float(shares.min())}
-        lines.append({"controller": name, "task": task, "plants": len(shares)} | own)
+        own = {"mean": mean, "worst tenth (CVaR)": tail, "worst plant": float(shares.min())}
+        lines.append({"controller": name, "task": task, "plants": len(shares), **own})
     return sheet("(b) Success, %, on plants wrong in everything at once", lines, ".1%")
 
 
@@ -424,9 +366,7 @@ def _sensors(table: Table) -> Sheet:
             own = {"contender": name, "task": task, "part": "sensors", "axis": axis.name}
             found = {view: table.array("outcomes", **own, view=view) for view in views(axis)}
             shares = {view: mean_share(of.mean(axis=1), of.size) for view, of in found.items()}
-            lines.append(
-                {"controller": name, "task": task, "axis": axis.name} | {each: shares.get(each) for each in VIEWS}
-            )
+            lines.append({"controller": name, "task": task, "axis": axis.name, **dict.fromkeys(VIEWS), **shares})
     title = "(c) Success, %, the mean over the levels of an axis, by what stands between sensors and controller"
     return sheet(title, lines, ".1%", brief=("controller", "task", "axis", "rates measured", "differences", "EKF"))
 

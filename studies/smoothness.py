@@ -1,17 +1,9 @@
 """How smooth is each controller's force, and what does smoothness cost?
 
-Method: every controller balances gustafsson2016 from λ = 0.1 and 0.3 for 6 s, and swings it up from hanging (angles
-within 0.1 rad) in 10 s, with perfect sensors and with noise of 0.002 (m, rad, m/s, rad/s) on every measured state; all
-get the same starts and the same noise, planners the first part of them.  Measured is the force over the whole of the
-runs that succeed, since one that falls early has figures of its fall; beside it stand all runs, and the ratio to one
-reference (LQR, TVLQR, or the same controller without a device) on the starts that both save.  Medians over starts with
-95 % order-statistic intervals; success with Wilson's.  Learned controllers are the policies that are shipped, one
-training of each.
-
-Then what smoothing costs at λ = 0.3: a rate limit and a low-pass around LQR, the sign of a stiff LQR and Q-learning; a
-cost on the change of force in NMPC; a² among Q-learning's features; and of the swing-up, trainings with a penalty on
-the action's rate and with CAPS (``--runs``).  A controller of yours takes part, with both devices:
-``--controller path.py:factory``.
+Method: every controller balances gustafsson2016 from λ = 0.1 and 0.3 for 6 s, and swings it up from hanging in 10 s,
+with perfect sensors and with noise of 0.002 on every measured state, from the same starts; then with devices, and
+learned with and without some.  Measured is the force over the whole of the runs that succeed; ratios to a reference are
+on the starts that both save.  Medians with 95 % order-statistic intervals; success with Wilson's.
 
 Finding: the task does not need bang-bang forces.  At λ = 0.3 the sign of a stiff LQR saves 88.8 % of 400 starts and LQR
 86.2 %, Q-learning tuned 84.8 % without and LSPI 85.0 % with a².  The two of ±40 N have 403 [361, 453] and 419 [376,
@@ -22,6 +14,7 @@ leaves half of the variation and saves 81.2 %, a rate limit of 800 N/s saves non
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import textwrap
@@ -84,17 +77,12 @@ class Device(NamedTuple):
 
 _WRAPPED = ("LQR", "sign of stiff LQR", "Q tuned")
 DEVICES = {
-    "rate limit": Device(
-        "rate limit (N/s)", (100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0), _WRAPPED,
-        lambda controller, rate: RateLimit(RIG, controller, rate),
-    ),
-    "low-pass": Device(
-        "low-pass corner (Hz)", (2.0, 4.0, 8.0, 16.0, 32.0), _WRAPPED,
-        lambda controller, corner: LowPass(RIG, controller, frequency=corner),
-    ),
-    "Δu cost": Device(
-        "weight of (Δu)² in NMPC (N⁻²)", (0.1, 1.0, 10.0), ("NMPC",), lambda _, weight: NMPC(RIG, rate_weight=weight)
-    ),
+    "rate limit": Device("rate limit (N/s)", (100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0), _WRAPPED,
+                         lambda controller, rate: RateLimit(RIG, controller, rate)),
+    "low-pass": Device("low-pass corner (Hz)", (2.0, 4.0, 8.0, 16.0, 32.0), _WRAPPED,
+                       lambda controller, corner: LowPass(RIG, controller, frequency=corner)),
+    "Δu cost": Device("weight of (Δu)² in NMPC (N⁻²)", (0.1, 1.0, 10.0), ("NMPC",),
+                      lambda _, weight: NMPC(RIG, rate_weight=weight)),
 }  # fmt: skip
 """Devices that are applied to a controller; the others are learned with it."""
 
@@ -149,18 +137,10 @@ class Smoothed(NamedTuple):
 
 
 def trainings(runs: Path) -> dict[str, Smoothed]:
-    """Return the trainings that differ in what makes their force smooth and in nothing else.
+    """Return the trainings in a folder that differ in what makes their force smooth and in nothing else, by recipe.
 
-    Parameters
-    ----------
-    runs : Path
-        As for :func:`rl.deep.kept_trainings`.
-
-    Returns
-    -------
-    dict
-        By recipe, of the swing-up on our plant, those of which a smooth and a plain one are there; they may have ended
-        after different experience.
+    They are those of the swing-up on our plant of which a smooth and a plain one are there; they may have ended after
+    different experience.
     """
     alike: dict[str, dict[str, Smoothed]] = {}
     for name, found in kept(runs).items():
@@ -168,20 +148,15 @@ def trainings(runs: Path) -> dict[str, Smoothed]:
         if recipe.env or recipe.task != "swing-up" or recipe.rig != RIG:
             continue
         record = recipe.to_dict()
-        caps, aside = record.pop("caps", None), ("action_rate", "sensor_noise", "steps", "enough", "evaluate_every")
-        means = {"CAPS": max((caps or (0.0,))[:2])} | {
-            words: record[key] or 0.0 for words, key in (("action rate", "action_rate"), ("noise", "sensor_noise"))
-        }
+        aside = ("caps", "action_rate", "sensor_noise", "steps", "enough", "evaluate_every")
+        caps, rate, noise, *_ = (record.pop(key, None) for key in aside)
+        means = {"CAPS": max((caps or (0.0,))[:2]), "action rate": rate or 0.0, "noise": noise or 0.0}
         used = {words: weight for words, weight in means.items() if weight}
-        others = json.dumps({key: value for key, value in record.items() if key not in aside}, sort_keys=True)
-        device, strength = ", ".join(used) or "plain", next(iter(used.values()), 0.0)
-        alike.setdefault(others, {})[name] = Smoothed(device, strength, found)
-    groups = [
-        group
-        for group in alike.values()
-        if len(ways := {each.device for each in group.values()}) > 1 and "plain" in ways
-    ]
-    return {name: found for group in groups for name, found in group.items()}
+        smoothed = Smoothed(", ".join(used) or "plain", next(iter(used.values()), 0.0), found)
+        alike.setdefault(json.dumps(record, sort_keys=True), {})[name] = smoothed
+    ways = [({each.device for each in group.values()}, group) for group in alike.values()]
+    both = [group for devices, group in ways if "plain" in devices and len(devices) > 1]
+    return {name: smoothed for group in both for name, smoothed in group.items()}
 
 
 def jobs(options: Options) -> list[Job]:
@@ -203,11 +178,9 @@ def jobs(options: Options) -> list[Job]:
                     for setting in settings[few]:
                         found += both(task, device=device, setting=setting, **what)
     for name, (device, strength, each) in ({} if options.only else trainings(options.runs)).items():
-        for task in ("balance 0.1", "swing-up"):
-            for one in each[few]:
-                found += both(
-                    task, contender=name, starts=n, device=device, setting=strength, training=one.seed, kept=one
-                )
+        for task, one in itertools.product(("balance 0.1", "swing-up"), each[few]):
+            what = {"contender": name, "starts": n, "training": one.seed, "kept": one}
+            found += both(task, device=device, setting=strength, **what)
     cost = {contender.name: contender.cost.value for contender in CONTENDERS}
     return sorted(found, key=lambda job: cost.get(job.contender, 1.0))
 
@@ -241,9 +214,8 @@ def measured(job: Job) -> Measured:
 def run(job: Job) -> Result:
     """Measure one job beside its reference, on the same starts; a row for each metric.
 
-    Its columns: runs that succeed; median of the metric over these with its interval, NaN where none does; the median
-    of all runs; the reference, the starts that both save, and the median of the ratio to it on these, NaN where the
-    reference's is zero.
+    Medians are over the runs that succeed, NaN where none does; ratios over the starts that both save, NaN where the
+    reference's metric is zero.
     """
     own = measured(job)
     against = job.contender if job.device in DEVICES else REFERENCES[job.task]
@@ -270,8 +242,6 @@ def _short(value: float | np.floating) -> float:
     return float(f"{value:.5g}")
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
 _TITLES = {"balance 0.1": "balancing, λ = 0.1", "balance 0.3": "balancing, λ = 0.3", "swing-up": "swing-up"}
 _LINES = {"perfect": "-", "noise": ":"}
 _WORDS = {"perfect": "perfect sensors", "noise": f"sensor noise {CONDITIONS['noise']:g}"}
@@ -280,13 +250,10 @@ _WORDS = {"perfect": "perfect sensors", "noise": f"sensor noise {CONDITIONS['noi
 def report(table: Table) -> Report:
     """Draw success against variation, forces and their spectra, and the devices; tabulate all of it."""
     looks = styles(table.where(device="none")["contender"])
-    figures = {
-        "": _pareto(table, looks, "perfect"),
-        "_noise": _pareto(table, looks, "noise"),
-        "_forces": _forces(table, looks, "balance 0.1", 2.0),
-        "_forces_swing_up": _forces(table, looks, "swing-up", 6.0),
-        "_devices": _devices(table, looks),
-    }
+    figures = {"": _pareto(table, looks, "perfect"), "_noise": _pareto(table, looks, "noise")}
+    figures["_forces"] = _forces(table, looks, "balance 0.1", 2.0)
+    figures["_forces_swing_up"] = _forces(table, looks, "swing-up", 6.0)
+    figures["_devices"] = _devices(table, looks)
     sheets = [_metrics_table(table, looks, task, condition) for task in TASKS for condition in CONDITIONS]
     sheets += [_devices_table(table), _trainings_table(table)]
     return Report(figures=figures, tables=[each for each in sheets if each.lines])
@@ -310,15 +277,13 @@ def _pareto(table: Table, looks: Mapping[str, Style], condition: str) -> Figure:
     """Draw for each task success against total variation, the median over runs that succeed, and the front."""
     figure, axes = facets(len(TASKS), height=8.6, sharex=True)
     lines = list(table.lines(metric="variation", condition=condition, device="none"))
-    points = {
-        (line.task, line.contender): (Estimate(*(max(each, _LEAST) for each in variation(line))), success(line))
-        for line in lines
-        if line.successes
-    }
-    ends = [bound for x, _ in points.values() for bound in x] or [0.1, 10.0]
+    points: dict[str, dict[str, tuple[Estimate, Estimate]]] = {task: {} for task in TASKS}
+    for line in (line for line in lines if line.successes):
+        shown = Estimate(*(max(each, _LEAST) for each in variation(line)))
+        points[line.task][line.contender] = shown, success(line)
+    ends = [bound for own in points.values() for x, _ in own.values() for bound in x] or [0.1, 10.0]
     log_axis(axes[-1, 0])
-    axes[-1, 0].set(xlim=(min(ends) / 1.6, max(ends) * 1.6))
-    axes[-1, 0].set_xlabel("total variation of the force (u_max/s)")
+    axes[-1, 0].set(xlim=(min(ends) / 1.6, max(ends) * 1.6), xlabel="total variation of the force (u_max/s)")
     for axis, task in zip(axes[:, 0], TASKS, strict=True):
         share_axis(axis, "starts that succeed")
         axis.set(ylim=(-0.06, 1.32), yticks=np.linspace(0, 1, 6), title=f"{_TITLES[task]}, {_WORDS[condition]}")
@@ -326,8 +291,7 @@ def _pareto(table: Table, looks: Mapping[str, Style], condition: str) -> Figure:
         if failed:
             words = f"none succeeds:\n{textwrap.fill(failed, 90)}"
             axis.text(0.01, 0.02, words, transform=axis.transAxes, fontsize=7, va="bottom")
-    for axis, task in zip(axes[:, 0], TASKS, strict=True):
-        own = {name: point for (of, name), point in points.items() if of == task}
+    for axis, own in zip(axes[:, 0], points.values(), strict=True):
         labels = {name: name + f" (below {_LEAST:g})" * (x.value <= _LEAST) for name, (x, _) in own.items()}
         if best := front(own.values()):
             x, y = np.transpose([*best, (axis.get_xlim()[1], best[-1][1])])
@@ -348,27 +312,24 @@ def front(points: Iterable[tuple[Estimate, Estimate]]) -> list[tuple[float, floa
 def _forces(table: Table, looks: Mapping[str, Style], task: str, seconds: float) -> Figure:
     """Draw for each contender its force from the first start, and its mean spectrum beside the reference's."""
     of = {"task": task, "device": "none"}
-    names = [name for name in looks if table.arrays("force", contender=name, condition="perfect", **of)]
-    rows = max(len(names), 1)
+    forces = {name: table.arrays("force", contender=name, condition="perfect", **of) for name in looks}
+    forces = {name: force for name, force in forces.items() if force}
+    rows = max(len(forces), 1)
     figure, axes = facets(rows, 2, height=0.95 * rows + 0.75, sharex="col", sharey="col", width_ratios=(1.1, 1.0))
-    for (left, right), name in zip(axes, names, strict=False):
-        colour = looks[name][0]
-        force = table.array("force", contender=name, condition="perfect", **of)
-        force_trace(left, force, RIG.sample_time, seconds, colour, name)
+    for (left, right), (name, (force,)) in zip(axes, forces.items(), strict=False):
+        force_trace(left, force, RIG.sample_time, seconds, looks[name][0], name)
         if name != REFERENCES[task]:
             _spectrum(right, table, REFERENCES[task], "perfect", of, color="#AAAAAA", lw=0.8)
         for condition, line in _LINES.items():
-            _spectrum(right, table, name, condition, of, color=colour, ls=line, lw=1.1)
-        above = {line.condition: f"{100 * line.median:.2g}"
-                 for line in table.lines(metric="spectral_share", contender=name, **of) if line.successes}  # fmt: skip
-        right.set_title(
-            f"above 5 Hz: {above.get('perfect', '-')} %, with noise {above.get('noise', '-')} %", fontsize=7.5
-        )
+            _spectrum(right, table, name, condition, of, color=looks[name][0], ls=line, lw=1.1)
+        lines = table.lines(metric="spectral_share", contender=name, **of)
+        above = dict.fromkeys(CONDITIONS, "-")
+        above |= {line.condition: f"{100 * line.median:.2g}" for line in lines if line.successes}
+        right.set_title("above 5 Hz: {perfect} %, with noise {noise} %".format(**above), fontsize=7.5)
         right.axvline(5.0, color="#777777", lw=0.6)
     axes[0, 1].set(xscale="log", yscale="log", xlim=(0.15, 25), ylim=(1e-9, 3), yticks=(1e-8, 1e-4, 1))
-    axes[0, 1].set_xticks((0.2, 0.5, 1, 2, 5, 10, 20), ("0.2", "0.5", "1", "2", "5", "10", "20"))
-    for axis in axes.flat:
-        axis.minorticks_off()
+    log_axis(axes[0, 1], ticks=(0.2, 0.5, 1, 2, 5, 10, 20))
+    axes[0, 1].minorticks_off()
     axes[-1, 0].set_xlabel("time (s)")
     axes[-1, 1].set_xlabel("frequency (Hz)")
     figure.supylabel("force on the cart (N), perfect sensors", fontsize=8)
@@ -381,14 +342,11 @@ def _forces(table: Table, looks: Mapping[str, Style], task: str, seconds: float)
 
 def _spectrum(axis: Axes, table: Table, name: str, condition: str, of: Mapping[str, str], **how: Any) -> None:
     """Draw a spectrum averaged over bins a tenth as wide as their frequency, so that its end is a line and no brush."""
-    for frequency, density in zip(
-        *(table.arrays(array, contender=name, condition=condition, **of) for array in ("frequency", "density")),
-        strict=True,
-    ):
+    arrays = (table.arrays(each, contender=name, condition=condition, **of) for each in ("frequency", "density"))
+    for frequency, density in zip(*arrays, strict=True):
         place = np.floor(10 * np.log(frequency / frequency[0])).astype(int)
         count = np.bincount(place)
-        means = [np.bincount(place, column)[count > 0] / count[count > 0] for column in (frequency, density)]
-        axis.plot(*means, **how)
+        axis.plot(*(np.bincount(place, column)[count > 0] / count[count > 0] for column in (frequency, density)), **how)
 
 
 def _devices(table: Table, looks: Mapping[str, Style]) -> Figure:
@@ -402,10 +360,8 @@ def _devices(table: Table, looks: Mapping[str, Style]) -> Figure:
         _device(axes[f"{name} saved"], axes[f"{name} varied"], table, looks, name)
     for condition, aside in zip(CONDITIONS, (-0.2, 0.2), strict=True) if groups else ():
         for measure, axis in ((success, axes["learned saved"]), (variation, axes["learned varied"])):
-            of = {
-                words: [measure(line) for line in lines if line.condition == condition]
-                for words, lines in groups.items()
-            }
+            drawn = {words: [each for each in of if each.condition == condition] for words, of in groups.items()}
+            of = {words: [*map(measure, lines)] for words, lines in drawn.items()}
             strip(axis, of, ("#333333", "o", "-"), aside=aside, hollow=condition == "noise")
     for name, axis in axes.items():
         if name.endswith("saved"):
@@ -421,17 +377,16 @@ def _devices(table: Table, looks: Mapping[str, Style]) -> Figure:
 def _device(saved: Axes, varied: Axes, table: Table, looks: Mapping[str, Style], device: str) -> None:
     settings = DEVICES[device].settings
     none = settings[0] / 4 if device == "Δu cost" else settings[-1] * 2.2  # where no device at all is drawn
-    for name in dict.fromkeys(table.where(device=device)["contender"]):
-        for condition in CONDITIONS:
-            same = {"metric": "variation", "contender": name, "condition": condition, "task": DEVICE_TASK}
-            hollow = condition == "noise"
-            style = (*looks[name][:2], ":") if hollow else looks[name]
-            for which in (device, "none"):
-                lines = sorted(table.lines(device=which, **same), key=lambda line: line.setting)
-                places = [none] * len(lines) if which == "none" else [line.setting for line in lines]
-                label = None if hollow or which == "none" else name
-                for axis, measure in ((saved, success), (varied, variation)):
-                    intervals(axis, places, map(measure, lines), style, hollow=hollow, label=label, lw=1.0)
+    names = dict.fromkeys(table.where(device=device)["contender"])
+    for name, condition, which in itertools.product(names, CONDITIONS, (device, "none")):
+        hollow = condition == "noise"
+        style = (*looks[name][:2], ":") if hollow else looks[name]
+        of = {"contender": name, "condition": condition, "task": DEVICE_TASK, "device": which}
+        lines = sorted(table.lines(metric="variation", **of), key=lambda line: line.setting)
+        places = [none if which == "none" else line.setting for line in lines]
+        label = None if hollow or which == "none" else name
+        for axis, measure in ((saved, success), (varied, variation)):
+            intervals(axis, places, map(measure, lines), style, hollow=hollow, label=label, lw=1.0)
     for axis in (saved, varied):
         axis.set(xscale="log", xlabel=DEVICES[device].parameter)
         axis.set_xticks([*settings, none], [*(f"{setting:g}" for setting in settings), "none"])
@@ -440,17 +395,20 @@ def _device(saved: Axes, varied: Axes, table: Table, looks: Mapping[str, Style],
 
 def _learned(table: Table) -> dict[str, list[Any]]:
     """Return lines of Q-learning without and with a² (balancing), and of trainings without and with a device."""
-    groups = {}
-    for name, features in (("Q tuned", "without a²"), ("LSPI", "with a²")):
-        own = table.lines(metric="variation", contender=name, task=DEVICE_TASK, device="none")
-        groups[f"{name}\n{features}\nλ = 0.3"] = list(own)
+
+    def lines(name: str, **of: str) -> list[Any]:
+        return list(table.lines(metric="variation", contender=name, **of))
+
+    groups = {
+        f"{name}\n{features} a²\nλ = 0.3": lines(name, task=DEVICE_TASK, device="none")
+        for name, features in (("Q tuned", "without"), ("LSPI", "with"))
+    }
     trained = _trained(table)
-    for name, lines in trained.items():
-        device = lines[0].device.replace(", ", ",\n")
-        words = f"{textwrap.fill(name, 10)}\n{device}\nswing-up"
-        groups[words] = [line for line in lines if line.task == "swing-up"]
-    for name in () if trained else ("PPO swing-up", "PPO swing-up, smooth"):
-        groups[name.replace(" ", "\n")] = list(table.lines(metric="variation", contender=name, task="swing-up"))
+    for name, own in trained.items():
+        words = (textwrap.fill(name, 10), own[0].device.replace(", ", ",\n"), "swing-up")
+        groups["\n".join(words)] = [line for line in own if line.task == "swing-up"]
+    if not trained:
+        groups |= {n.replace(" ", "\n"): lines(n, task="swing-up") for n in ("PPO swing-up", "PPO swing-up, smooth")}
     return {words: own for words, own in groups.items() if own}
 
 
@@ -471,24 +429,15 @@ _COLUMNS = {
 
 
 def _metrics_table(table: Table, looks: Mapping[str, Style], task: str, condition: str) -> Sheet:
-    lines: list[dict[str, Value]] = []
+    lines = []
     ratio = f"variation, times that of {REFERENCES[task]}"
     for name in looks:
-        same = {"contender": name, "task": task, "condition": condition, "device": "none"}
-        own = {line.metric: line for line in table.lines(**same)}
+        own = {line.metric: line for line in table.lines(contender=name, task=task, condition=condition, device="none")}
         if own:
             first = own["variation"]
-            values: dict[str, Value] = {heading: own[metric].median for metric, heading in _COLUMNS.items()}
-            values[_COLUMNS["variation"]] = variation(first)
-            lines.append(
-                {
-                    "controller": name,
-                    "starts": first.starts,
-                    "success, %": success(first),
-                    **values,
-                    ratio: _ratio(first),
-                }
-            )
+            values = {heading: own[metric].median for metric, heading in _COLUMNS.items()}
+            known = {"controller": name, "starts": first.starts, "success, %": success(first)}
+            lines.append(known | values | {_COLUMNS["variation"]: variation(first), ratio: _ratio(first)})
     title = f"{_TITLES[task][0].upper()}{_TITLES[task][1:]}, {_WORDS[condition]}"
     note = f"medians over the runs that succeed; times that of {REFERENCES[task]}: on the starts that both save"
     return sheet(title, lines, note=note, brief=("controller", "starts", "success, %", _COLUMNS["variation"], ratio))
@@ -501,8 +450,8 @@ def _devices_table(table: Table) -> Sheet:
         for name in dict.fromkeys(table.where(device=device)["contender"]):
             settings = sorted(set(table.where(device=device, contender=name)["setting"]))
             for applied, setting in (("none", 0.0), *((device, setting) for setting in settings)):
-                line: dict[str, Value] = {"device": parameter, "controller": name}
-                line["setting"] = "none" if applied == "none" else f"{setting:g}"
+                said = f"{setting:g}" if setting else "none"
+                line: dict[str, Value] = {"device": parameter, "controller": name, "setting": said}
                 for own in table.lines(contender=name, device=applied, setting=setting, **of):
                     said = ", noise" if own.condition == "noise" else ""
                     line |= {f"success{said}, %": success(own), f"variation{said}, u_max/s": variation(own),
@@ -515,16 +464,14 @@ def _devices_table(table: Table) -> Sheet:
 def _trainings_table(table: Table) -> Sheet:
     lines: list[dict[str, Value]] = []
     for name, own in _trained(table).items():
-        line: dict[str, Value] = {"training": name, "device": own[0].device}
-        line["trainings"] = len({each.training for each in own})
+        count = len({each.training for each in own})
+        line: dict[str, Value] = {"training": name, "device": own[0].device, "trainings": count}
         for task, words in (("swing-up", "swing-up"), ("balance 0.1", "λ = 0.1")):
-            perfect, noisy = (
-                [each for each in own if (each.task, each.condition) == (task, condition)] for condition in CONDITIONS
-            )
-            line[f"{words}: success, %"] = mean_share(
-                [each.successes / each.starts for each in perfect], [each.starts for each in perfect]
-            )
-            for same, said in ((perfect, ""), (noisy, ", noise")):
+            for condition, said in (("perfect", ""), ("noise", ", noise")):
+                same = [each for each in own if (each.task, each.condition) == (task, condition)]
+                if condition == "perfect":
+                    shares = [each.successes / each.starts for each in same]
+                    line[f"{words}: success, %"] = mean_share(shares, [each.starts for each in same])
                 known = [each.median for each in same if math.isfinite(each.median)]
                 line[f"{words}: variation{said}, u_max/s"] = median(known) if len(known) > 1 else Estimate(*known)
         lines.append(line)

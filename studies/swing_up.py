@@ -1,28 +1,24 @@
 """Which controllers swing the double pendulum up, how smoothly and robustly, and between equilibria?
 
 Method: every controller starts gustafsson2016 (±40 N, ±2.4 m, 0.02 s) from hanging and from the report's side start
-(π/2, π/2), both angles moved by U[-0.1, 0.1] rad, and succeeds if both links are up for the last second of 10 s; the
-starts are the same for all.  Then the same with starts moved by ±0.2 rad; with masses and lengths each wrong by up to
-5, 10 and 20 % at random; and with encoders of 2048 counts a turn (0.1 mm for the cart), no measured rates and one
-sample of delay, read through an extended Kalman filter.  Then the twelve transfers between the four equilibria, 6 s
-each, and hanging to upright on every preset.  Intervals are Wilson's, 95 %.  Steps are timed one run at a time, also of
-laws that could treat many at once; a step is late if it takes longer than the sample time; the first step of a run, in
-which planners plan from nothing, is reported apart.  Yours takes part by ``--controller path.py:factory``.
+(π/2, π/2), angles moved by up to 0.1 rad, and succeeds if both links are up for the last second of 10 s; then with
+starts moved by ±0.2 rad, with masses and lengths wrong by up to 5, 10 and 20 %, and with encoders and a sample of delay
+behind an extended Kalman filter.  Then the twelve transfers between equilibria, and hanging to upright on every preset.
+Intervals are Wilson's, 95 %.  Steps are timed one run at a time; late ones take longer than the sample time.
 
 Finding: iLQR MPC, NMPC and TVLQR swing up from all 400 starts.  iLQR MPC takes 0.1 ms a step (median) and succeeds in
 99.5 % with plants 10 % off, 98 % at 20 %, 100 % behind encoders and delay.  Passivity and LQR arrive in 0 and 9.5 %,
-pumping and LQR in 40.5 and 51.5 %, with a planned last swing always.  All 12 transfers: iLQR MPC and TVLQR, 50 of 50
-each.  From the default options, kept in docs/results/swing_up.
+pumping and LQR in 40.5 and 51.5 %, with a planned last swing always.  All 12 transfers: iLQR MPC and TVLQR, 50 of 50.
 """
 
 from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -52,10 +48,9 @@ def _energy_nmpc(rig: dpend.Rig, task: dpend.Balance | dpend.SwingUp) -> NMPC:
 
 KNOWN = (
     *CONTENDERS,
-    Contender(
-        name="energy NMPC", make=_energy_nmpc, tasks=("swing-up",), style=("#56B4E9", "p", "-"), cost=Cost.EXPENSIVE
-    ),
-)
+    Contender(name="energy NMPC", make=_energy_nmpc, tasks=("swing-up",), cost=Cost.EXPENSIVE,
+              style=("#56B4E9", "p", "-")),
+)  # fmt: skip
 """Those that can take part; the last in this study only."""
 
 PLANT = "gustafsson2016"
@@ -138,30 +133,22 @@ NOMINAL = {name: getattr(Job, name) for name in ("target", "rig", "angle_spread"
 
 
 def jobs(options: Options) -> list[Job]:
-    """List the work, in chunks of runs, what takes longest first."""
-    return [
-        replace(case, first=first, runs=min(_CHUNK, case.runs - first))
-        for case in _cases(options)
-        for first in range(0, case.runs, _CHUNK)
-    ]
-
-
-def _cases(options: Options) -> Iterator[Job]:
-    """List what is tried, whole; where it must be quick one run of each kind, as long as all are."""
-    quick, each = options.quick, (options.runs, options.transfer_runs, options.preset_runs)
+    """List the work, in chunks of runs, what takes longest first; where it must be quick one run of each kind."""
+    cases, quick, each = [], options.quick, (options.runs, options.transfer_runs, options.preset_runs)
     runs, transfer_runs, preset_runs = (1, 1, 1) if quick else each
     for contender in sorted(options.contenders("swing-up"), key=lambda contender: contender.cost.value):
         name = contender.name
         nominal = Job(contender=name, own=contender.own, runs=runs, seed=options.seed)
-        conditions = list(CONDITIONS.values())
-        if quick or (name in NOMINAL_ONLY and not options.all):
-            conditions = conditions[:1]
-        yield from (replace(nominal, start=start, **changes) for start in STARTS for changes in conditions)
+        one = quick or (name in NOMINAL_ONLY and not options.all)
+        conditions = list(CONDITIONS.values())[: 1 if one else None]
+        cases += [replace(nominal, start=start, **changes) for start in STARTS for changes in conditions]
         moves = name in MOVERS or (options.all and name == "NMPC")
         for start, target in TRANSFERS[: 1 if quick else None] if moves else ():
-            yield replace(nominal, start=start, target=target, seconds=6.0, runs=transfer_runs)
+            cases.append(replace(nominal, start=start, target=target, seconds=6.0, runs=transfer_runs))
         if (moves or contender.own) and not quick:
-            yield from (replace(nominal, rig=rig, seconds=20.0, runs=preset_runs) for rig in PRESETS)
+            cases += [replace(nominal, rig=rig, seconds=20.0, runs=preset_runs) for rig in PRESETS]
+    chunks = [(case, first) for case in cases for first in range(0, case.runs, _CHUNK)]
+    return [replace(case, first=first, runs=min(_CHUNK, case.runs - first)) for case, first in chunks]
 
 
 def task_of(case: Any) -> dpend.SwingUp:
@@ -217,19 +204,13 @@ def _wrong(rig: dpend.Rig, error: float, rng: np.random.Generator, mine: slice) 
     return rig.replace(**{name: getattr(rig.params, name) * factors[:, i] for i, name in enumerate(names)})
 
 
-# --------------------------------------------------------------------------------------------------------------- report
-
 Runs = Mapping[str, Array]
 """Success and metrics by name, one a run."""
 
 _MEDIANS = {
-    "time up, s": ("time_up", ".2f"),
-    "peak, N": ("peak_force", ".1f"),
-    "track, m": ("travel", ".2f"),
-    "effort, N² s": ("effort", ".0f"),
-    "variation, 1/s": ("variation", ".2f"),
-    "saturated, %": ("saturated", ".0%"),
-}
+    "time up, s": ("time_up", ".2f"), "peak, N": ("peak_force", ".1f"), "track, m": ("travel", ".2f"),
+    "effort, N² s": ("effort", ".0f"), "variation, 1/s": ("variation", ".2f"), "saturated, %": ("saturated", ".0%"),
+}  # fmt: skip
 
 
 def runs_of(table: Table, contender: str, **fields: Any) -> Runs:
@@ -242,6 +223,11 @@ def runs_of(table: Table, contender: str, **fields: Any) -> Runs:
 def up(runs: Runs) -> Estimate:
     """Return the share of runs that succeeded; NaN of no runs."""
     return share(runs["success"], len(runs["success"]))
+
+
+def _rates(table: Table, contender: str, start: str) -> dict[str, Estimate]:
+    """Return the share of runs that succeeded under every condition."""
+    return {each: up(runs_of(table, contender, start=start, **changes)) for each, changes in CONDITIONS.items()}
 
 
 def _median(runs: Runs, metric: str) -> float:
@@ -258,39 +244,31 @@ def _counted(runs: Runs) -> str:
 
 def report(table: Table) -> Report:
     """Draw the swings, the success under every condition, and the transfers; tabulate them and how long steps take."""
-    looks = styles(table.rows["contender"], KNOWN)
+    looks, rows = styles(table.rows["contender"], KNOWN), table.rows
     movers, elsewhere = (
-        [name for name in looks if column[table.rows["contender"].to_numpy() == name].any()]
-        for column in (table.rows["start"].isin(dpend.EQUILIBRIA).to_numpy(), (table.rows["rig"] != PLANT).to_numpy())
+        [name for name in looks if name in set(rows["contender"][of.to_numpy()])]
+        for of in (rows["start"].isin(dpend.EQUILIBRIA), rows["rig"] != PLANT)
     )
     swings, conditions = [], []
     for name, start in itertools.product(looks, STARTS):
         line, runs = {"controller": name, "from": start}, runs_of(table, name, start=start)
         medians = {heading: _median(runs, metric) for heading, (metric, _) in _MEDIANS.items()}
         swings.append(line | {"up, %": up(runs)} | medians)
-        rates = {each: up(runs_of(table, name, start=start, **changes)) for each, changes in CONDITIONS.items()}
-        conditions.append(line | rates)
-    transfers = [
-        {"from, to": f"{start}, {target}"}
-        | {name: _counted(runs_of(table, name, start=start, target=target)) for name in movers}
-        for start, target in TRANSFERS
-    ]
-    presets = [
-        {"preset": rig} | {name: _counted(runs_of(table, name, rig=rig)) or "refused" for name in elsewhere}
-        for rig in PRESETS
-    ]
+        conditions.append(line | _rates(table, name, start))
+    transfers, presets = [], []
+    for start, target in TRANSFERS if movers else ():
+        counted = {name: _counted(runs_of(table, name, start=start, target=target)) for name in movers}
+        transfers.append({"from, to": f"{start}, {target}"} | counted)
+    for rig in PRESETS if elsewhere else ():
+        counted = {name: _counted(runs_of(table, name, rig=rig)) or "refused" for name in elsewhere}
+        presets.append({"preset": rig} | counted)
+    forms = {heading: form for heading, (_, form) in _MEDIANS.items()}
     tables = [
-        sheet(
-            "Swing-up on the plant as it is believed to be; medians over the runs that succeed",
-            swings,
-            {heading: form for heading, (_, form) in _MEDIANS.items()},
-        ),
+        sheet("Swing-up on the plant as it is believed to be; medians over the runs that succeed", swings, forms),
         sheet("Runs that end up, %, under every condition", conditions, ".1%"),
         *_step_tables(table, looks),
-        sheet("Transfers between equilibria: successes of runs, median time to arrive", transfers if movers else []),
-        sheet(
-            "Hanging to upright on the other presets: successes of runs, median time up", presets if elsewhere else []
-        ),
+        sheet("Transfers between equilibria: successes of runs, median time to arrive", transfers),
+        sheet("Hanging to upright on the other presets: successes of runs, median time up", presets),
     ]
     figures = {"": _swings(table, looks), "_success": _success(table, looks)}
     if movers:
@@ -316,40 +294,34 @@ def _step_tables(table: Table, names: Iterable[str]) -> tuple[Sheet, Sheet]:
     )
 
 
-class Swing(NamedTuple):
-    """A contender's first nominal run from hanging, as long as it lasted."""
-
-    success: bool
-    time_up: float
-    x: Array
-    u: Array
-
-    @classmethod
-    def of(cls, table: Table, contender: str) -> Swing:
-        """Return it from the table."""
-        x, u = (table.array(each, contender=contender) for each in ("x", "u"))
-        lasted, runs = int(np.isfinite(u).sum()), runs_of(table, contender, start="hanging")
-        return cls(bool(runs["success"][0]), float(runs["time_up"][0]), x[: lasted + 1], u[:lasted])
-
-    def samples(self, after: float, otherwise: float, sample_time: float) -> int:
-        """Return its samples until some seconds after it was up, or some seconds where it never was."""
-        return min(len(self.u), round((self.time_up + after if self.success else otherwise) / sample_time))
+def _first_swing(table: Table, line: Any, after: float = np.inf, otherwise: float = np.inf) -> dpend.Run:
+    """Return a first nominal run from hanging: until some seconds after it was up, or the first where it never was."""
+    rig, runs = dpend.rig(PLANT), runs_of(table, line.contender, start="hanging")
+    x, u = (table.array(each, contender=line.contender) for each in ("x", "u"))
+    success, time_up = bool(runs["success"][0]), float(runs["time_up"][0])
+    lasted = rig.sample_time * np.isfinite(u).sum()
+    n = round(min(lasted, time_up + after if success else otherwise) / rig.sample_time)
+    return dpend.Run(
+        t=rig.sample_time * np.arange(n + 1, dtype=np.float64), x=x[: n + 1], y=x[: n + 1], u=u[:n],
+        step_time=np.full(n, np.nan), status=dpend.Status.FULL_LENGTH, success=success, time_up=time_up,
+        rig=rig, controller=line.contender, task=repr(task_of(line)), seed=line.seed,
+    )  # fmt: skip
 
 
 def _swings(table: Table, names: Collection[str]) -> Figure:
     """Draw for every controller its first swing from hanging: as strobe pictures, angles, and force."""
-    rig, height = dpend.rig(PLANT), 1.55 * len(names) + 0.5
+    first = {line.contender: line for line in table.lines(timed=True, start="hanging", first=0)}
+    height = 1.55 * len(names) + 0.5
     figure, axes = facets(len(names), 3, height=height, width=7.0, width_ratios=(1.0, 1.15, 1.15), sharex="col")
     for name, (strobe, angles, force) in zip(names, axes, strict=True):
-        swing = Swing.of(table, name)
-        draw_strobe(strobe, swing.x[: swing.samples(0.6, 5.0, rig.sample_time) + 1], rig)
+        run = _first_swing(table, first[name])
+        draw_strobe(strobe, _first_swing(table, first[name], 0.6, 5.0).x, run.rig)
         strobe.set(xlim=(-3.6, 3.6), title=name)
-        t = rig.sample_time * np.arange(len(swing.x))
         for column, colour, line in ((1, "#0072B2", "-"), (2, "#D55E00", "--")):
-            angles.plot(t, swing.x[:, column] / np.pi, color=colour, ls=line, label=f"link {column}")
+            angles.plot(run.t, run.x[:, column] / np.pi, color=colour, ls=line, label=f"link {column}")
         angles.set_xlim(0, 6)
-        force_trace(force, swing.u, rig.sample_time, 6.0, "#009E73", "")
-        if not swing.success:
+        force_trace(force, run.u, run.rig.sample_time, 6.0, "#009E73", "")
+        if not run.success:
             note(force, "not up")
     axes[0, 1].set_title("angles (half turns)")
     axes[0, 2].set_title("force on the cart (N)")
@@ -364,8 +336,7 @@ def _success(table: Table, looks: Mapping[str, Style]) -> Figure:
     figure, axes = facets(1, len(STARTS), height=1.2 + 0.5 * len(CONDITIONS), sharex=True, sharey=True)
     for axis, (start, title) in zip(axes[0], STARTS.items(), strict=True):
         for order, (name, style) in enumerate(looks.items()):
-            rates = {each: up(runs_of(table, name, start=start, **changes)) for each, changes in CONDITIONS.items()}
-            forest(axis, rates, style, aside=0.09 * (order - (len(looks) - 1) / 2), label=name)
+            forest(axis, _rates(table, name, start), style, aside=0.09 * (order - (len(looks) - 1) / 2), label=name)
         axis.set_title(title)
         share_axis(axis, along="x")
     figure.supxlabel("runs that end upright")
@@ -391,17 +362,11 @@ def films(table: Table) -> dict[str, Callable[[Path], object]]:
 
     It shows a second more than until it is up.  Where two names differ in signs only, a job's number tells them apart.
     """
-    rig, found = dpend.rig(PLANT), {}
+    found = {}
     for line in table.lines(timed=True, start="hanging", first=0):
-        swing = Swing.of(table, line.contender)
-        n = swing.samples(1.0, 6.0, rig.sample_time)
-        run = dpend.Run(
-            t=rig.sample_time * np.arange(n + 1, dtype=np.float64), x=swing.x[: n + 1], y=swing.x[: n + 1],
-            u=swing.u[:n], step_time=np.full(n, np.nan), status=dpend.Status.FULL_LENGTH, success=swing.success,
-            time_up=swing.time_up, rig=rig, controller=line.contender, task=repr(task_of(line)), seed=line.seed,
-        )  # fmt: skip
         stem = re.sub(r"[^\w-]+", "_", line.contender)
-        found[f"{stem}_{line.job}.gif" if f"{stem}.gif" in found else f"{stem}.gif"] = run.animate
+        name = f"{stem}_{line.job}.gif" if f"{stem}.gif" in found else f"{stem}.gif"
+        found[name] = _first_swing(table, line, 1.0, 6.0).animate
     return found
 
 
