@@ -230,8 +230,9 @@ def _place_in_words(name: str, task: TaskName, places: Places) -> str:
     if place is None:
         return f"{name} has no rank at {_DOING[task]}, at which it never succeeds"
     n = int(place.rank.value)
+    same = sum(other is not None and int(other.rank.value) == n for other in places.values()) > 1
     ending = "th" if n // 10 % 10 == 1 else {1: "st", 2: "nd", 3: "rd"}.get(n % 10, "th")
-    return f"{name} ranks {n}{ending} of {len(places)} at {_DOING[task]}"
+    return f"{name} ranks {n}{ending}{', equally,' * same} of {len(places)} at {_DOING[task]}"
 
 
 def board(table: Table, places: Mapping[TaskName, Places]) -> tuple[list[Sheet], str]:

@@ -256,7 +256,13 @@ def report(table: Table) -> Report:
     by_lam = {BEST_KNOWN: best(table)[0]} | named | {"the report's Table 2": TABLE2 if _default(table) else {}}
     lines = [{"contender": name} | {f"λ = {lam:g}": of.get(lam) for lam in lams} for name, of in by_lam.items() if of]
     brief = {"contender", *(f"λ = {lam:g}" for lam in TABLE2)}
-    saves = sheet("Starts saved, %", lines, ".1%", note="† as shipped, one training", brief=brief)
+    saves = sheet(
+        "Starts saved, %",
+        lines,
+        ".1%",
+        note="† as shipped, one training" if any("†" in name for name in named) else "",
+        brief=brief,
+    )
     tables = (saves, _falls_table(table, success, falls), *_learning_tables(table, success))
     return Report(figures=figures, tables=[each for each in tables if each.lines])
 

@@ -273,7 +273,10 @@ def _balancing(table: Table, looks: Mapping[str, Style]) -> Figure:
     legend_above(fourth, 2, "As the report's figure 4: Gaussian QAC to the letter")
     for name, style in looks.items():
         x, y = (table.arrays(each, learner=name) for each in ("experience", f"share {LAMS[0]:g}"))
-        grid = np.geomspace(min(each[0] for each in x), max(each[-1] for each in x), _GRID)
+        spent = np.concatenate(x)
+        if not spent.max(initial=0.0) > 0:
+            continue  # it learns in rounds longer than what it was given
+        grid = np.geomspace(spent[spent > 0].min(), spent.max(), _GRID)
         band(shares, grid, quartiles_between(x, y, grid), style, name)
     shares.set(xscale="log", xlabel="experience, tests included (s)")
     share_axis(shares, f"starts saved, λ = {LAMS[0]:g}")

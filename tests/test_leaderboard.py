@@ -221,7 +221,7 @@ def test_a_controller_of_ones_own_stands_at_its_place_in_every_part(tmp_path, ca
     assert len(values_of(made, "ByHand", "step of 1000, s", task="balance")) == 1
     assert made.array("delay", contender="ByHand", task="balance").shape == (2, 2)
     printed = " ".join(capsys.readouterr().out.split())
-    assert "ByHand ranks 1st of 3 at balancing" in printed
+    assert "ByHand ranks 1st, equally, of 3 at balancing" in printed
     assert "ByHand has no rank at swinging up, at which it never succeeds" in printed
     for name in ("tables.md", "leaderboard.html"):
         text = (tmp_path / name).read_text()
