@@ -38,7 +38,7 @@ from ._runner import Report, Result, Table
 from ._tables import Value, sheet
 from ._trainings import RUNS, Kept, kept
 
-MINUTES = 6
+MINUTES = 1
 
 LQR_BALANCE = "LQR, Q = I, R = 1, balance"
 LEAST = "least variation"

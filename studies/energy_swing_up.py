@@ -31,7 +31,7 @@ from ._figures import facets, forest
 from ._runner import Plant, Report, Result, Table
 from ._tables import sheet
 
-MINUTES = 10
+MINUTES = 1
 
 ANGLE_SPREAD = 0.1
 DURATION = 30.0

@@ -39,7 +39,7 @@ from ._runner import Report, Result, Table
 from ._tables import Cell, Sheet, Value, sheet
 from ._trainings import RUNS, Kept, kept
 
-MINUTES = 8
+MINUTES = 1
 
 LAMS = (0.1, 0.3)
 MOST = 0.95  # the share of starts that counts as learned

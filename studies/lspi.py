@@ -32,7 +32,7 @@ from ._figures import Curve, band, force_traces, legend_above, log_axis, mosaic,
 from ._runner import Report, Result, Table
 from ._tables import cell, sheet
 
-MINUTES = 6
+MINUTES = 1
 
 RIG = dpend.rig("gustafsson2016")
 LAMS = (0.1, 0.2, 0.3, 0.4)

@@ -35,7 +35,7 @@ from ._perturbations import AXES, GROUPS, NOMINAL, PARAMETERS, SENSORS, VIEWS, A
 from ._runner import Report, Result, Table, where
 from ._tables import Cell, Sheet, cell, sheet
 
-MINUTES = 60
+MINUTES = 8
 
 TASKS: tuple[TaskName, ...] = get_args(TaskName)
 _STARTS_A_PLANT = 4

@@ -23,7 +23,7 @@ from ._figures import curves, facets, palette, share_axis
 from ._runner import Report, Result, Table
 from ._tables import sheet
 
-MINUTES = 5
+MINUTES = 2
 
 PLANTS = {
     "gustafsson2016, Q = I": ("gustafsson2016", (1.0, 1.0, 1.0, 1.0, 1.0, 1.0), 1.0),

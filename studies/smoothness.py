@@ -45,7 +45,7 @@ from ._runner import Report, Result, Table
 from ._tables import Sheet, Value, sheet
 from ._trainings import RUNS, Kept, kept
 
-MINUTES = 25
+MINUTES = 6
 
 TASKS: Mapping[str, dpend.Balance | dpend.SwingUp] = {
     "balance 0.1": dpend.Balance(lam=0.1),
