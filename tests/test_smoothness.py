@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
 import dpend
@@ -18,7 +16,6 @@ from rl.recipes import PPOSettings
 from studies import smoothness
 from studies._estimates import Estimate
 from studies._field import CONTENDERS, RIG
-from studies._labels import place_labels
 from studies._runner import main
 from studies.smoothness import DEVICES, Job, Options
 from tests.rigs import whole
@@ -180,19 +177,3 @@ def test_trainings_that_differ_in_smoothing_alone_are_found_and_no_others(tmp_pa
 def test_too_few_starts_are_refused():
     with pytest.raises(ValueError, match=whole("--starts must be at least 2; got 1.")):
         Options(starts=1)
-
-
-def test_no_label_covers_another_or_a_point():
-    rng = np.random.default_rng(0)
-    figure = Figure(figsize=(6, 3), layout="constrained")
-    axis = figure.subplots()
-    axis.set(xscale="log", xlim=(0.1, 100), ylim=(0, 1.3))
-    x, y = 10 ** rng.uniform(-0.6, 0.0, 12), np.append(np.ones(8), rng.uniform(0.5, 1, 4))
-    place_labels(axis, x, y, [f"controller {k}" for k in range(12)])
-    renderer = FigureCanvasAgg(figure).get_renderer()
-    boxes = [text.get_window_extent(renderer) for text in axis.texts]
-    assert not any(box.overlaps(other) for k, box in enumerate(boxes) for other in boxes[:k])
-    points = axis.transData.transform(np.column_stack([x, y]))
-    assert not any(box.contains(*point) for box in boxes for point in points)
-    frame = axis.get_window_extent(renderer)
-    assert all(frame.contains(box.x0, box.y0) and frame.contains(box.x1, box.y1) for box in boxes)
