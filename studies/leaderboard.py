@@ -43,7 +43,7 @@ from ._perturbations import measure
 from ._runner import Report, Result, Table, kept_table, read_rows, where
 from ._step_times import undisturbed
 
-MINUTES = 20
+MINUTES = 9
 GOOD = 0.95  # a training failed if its policy succeeds from less than this share of fresh starts
 _NOISE, _NOISY = 0.002, 200
 _STREAM = 4127  # sets these starts apart from those of every training, tuning and other study
