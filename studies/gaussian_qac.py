@@ -33,7 +33,7 @@ from ._figures import COLOURS, Curve, band, forest, heat_map, mosaic, saved_by_a
 from ._runner import Report, Result, Table
 from ._tables import Value, cell, sheet
 
-MINUTES = 18
+MINUTES = 2
 
 RIG = dpend.rig("gustafsson2016")
 LAMS = (0.1, 0.2, 0.3, 0.4)

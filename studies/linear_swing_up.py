@@ -37,7 +37,7 @@ from ._figures import COLOURS, band, facets
 from ._runner import Report, Result, Table
 from ._tables import sheet
 
-MINUTES = 7
+MINUTES = 2
 
 RIG = dpend.rig("gustafsson2016")
 EPSILONS = (0.01, 0.1, 0.3)
