@@ -1,4 +1,4 @@
-// Sort the table by a press on a heading; what has no number goes last, whichever way it is sorted.
+// Sort the table by clicking a heading; missing values go last in either order.
 const body = document.querySelector("tbody");
 const headings = [...document.querySelectorAll("thead tr:last-child th")];
 headings.forEach((heading, column) => heading.querySelector("button").addEventListener("click", () => {
