@@ -149,6 +149,8 @@ class Balance(ReportCost):
     ----------
     lam : float
         :math:`\lambda`, rad, above zero and at most :math:`\pi/2`.
+    lam2 : float, optional
+        That of link 2, rad, where it is another; zero starts link 2 upright.
     steps : int
         Samples in a full episode; the report's 300.
     criterion : {"strict", "report"}
@@ -164,12 +166,15 @@ class Balance(ReportCost):
     """
 
     lam: float = 0.1
+    lam2: float | None = None
     steps: int = 300
     criterion: str = "strict"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_lam(self.lam)
+        if self.lam2:
+            check_lam(self.lam2)
         checked_whole("steps", self.steps)
         checked_name("criterion", self.criterion, ("strict", "report"))
 
@@ -183,10 +188,15 @@ class Balance(ReportCost):
         """Greatest absolute angle of link 1 and of link 2, rad."""
         return math.pi / 2, math.pi / 2 if self.criterion == "strict" else math.inf
 
+    @property
+    def angle_spreads(self) -> tuple[float, float]:
+        """Greatest starting angle of link 1 and of link 2, rad."""
+        return self.lam, self.lam if self.lam2 is None else self.lam2
+
     def starts(self, rng: np.random.Generator, n: int, rig: Rig) -> Array:
         """Draw ``n`` initial states; one generator gives the same directions for every lambda."""
         x = np.zeros((n, 6))
-        x[:, 1:3] = self.lam * rng.uniform(-1.0, 1.0, (n, 2))
+        x[:, 1:3] = self.angle_spreads * rng.uniform(-1.0, 1.0, (n, 2))
         return x
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:

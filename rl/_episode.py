@@ -19,7 +19,7 @@ class Episode(NamedTuple):
 
     center: tuple[float, float]
     """Angles about which an episode starts, at rest, rad."""
-    angle_spread: float
+    angle_spreads: tuple[float, float]
     steps: int
     rule: Rule
     force_limit: float
@@ -31,16 +31,16 @@ class Episode(NamedTuple):
 def episode(rig: Rig, task: Balance | SwingUp, angle_cut: float | None = None) -> Episode:
     """Return the episodes of a task that starts at rest, cut where a link leans more than ``angle_cut``, if given."""
     if isinstance(task, Balance):
-        center, spread = (0.0, 0.0), task.lam
+        center, spreads = (0.0, 0.0), task.angle_spreads
     else:
         start = replace(task, angle_spread=0.0).starts(np.random.default_rng(0), 1, rig)[0]
-        center, spread = (float(start[1]), float(start[2])), task.angle_spread
+        center, spreads = (float(start[1]), float(start[2])), 2 * (task.angle_spread,)
     rule = rule_of(task, rig)
     if angle_cut is not None:
         rule = rule._replace(bounds=(rule.bounds[0], float(angle_cut), float(angle_cut)))
     return Episode(
         center=center,
-        angle_spread=float(spread),
+        angle_spreads=(float(spreads[0]), float(spreads[1])),
         steps=int(task.steps),
         rule=rule,
         force_limit=float(rig.force_limit),
@@ -53,8 +53,8 @@ def episode(rig: Rig, task: Balance | SwingUp, angle_cut: float | None = None) -
 @inline
 def started(e, rng):
     """Draw the state in which an episode starts."""
-    th1 = e.center[0] + e.angle_spread * rng.uniform(-1.0, 1.0)
-    th2 = e.center[1] + e.angle_spread * rng.uniform(-1.0, 1.0)
+    th1 = e.center[0] + e.angle_spreads[0] * rng.uniform(-1.0, 1.0)
+    th2 = e.center[1] + e.angle_spreads[1] * rng.uniform(-1.0, 1.0)
     return 0.0, th1, th2, 0.0, 0.0, 0.0
 
 

@@ -83,8 +83,10 @@ class LinearQLearning:
         Restart from initial weights where so many episodes did not converge.
     max_episodes : int
         Budget of learning episodes, restarts included.
+    initial : sequence of 18 floats, optional
+        Initial weights, such as those of a policy, to go on learning from.
     init_std : float
-        Standard deviation of the normal numbers that initial weights are drawn from; zero for the report's zeros.
+        Without them, standard deviation of the normal numbers that they are drawn from; zero for the report's zeros.
 
     Raises
     ------
@@ -107,6 +109,7 @@ class LinearQLearning:
     acceptance_episodes: int = 100
     restart_after: int | None = None
     max_episodes: int = 2000
+    initial: Sequence[float] | None = None
     init_std: float = 0.0
 
     def __post_init__(self) -> None:
@@ -128,6 +131,8 @@ class LinearQLearning:
                 raise ValueError(f"acceptance names pairs (lambda, share) with a share within 0 and 1; got {test!r}.")
         if not is_vector(self.scales, len(TABLE1)):
             raise ValueError(f"scales must be {len(TABLE1)} finite numbers; got {self.scales!r}.")
+        if self.initial is not None and not is_vector(self.initial, len(TABLE1)):
+            raise ValueError(f"initial must be {len(TABLE1)} finite numbers; got {self.initial!r}.")
         forces, limit = np.asarray(self.forces, dtype=np.float64), self.rig.force_limit
         if forces.ndim != 1 or not len(forces) or not (np.abs(forces) <= limit).all():
             raise ValueError(
@@ -194,8 +199,8 @@ class LinearQLearning:
 
         Each learning episode has in ``curve`` its ``length``, ``reward`` and ``success``; ``upright``, the longest time
         that both links were up without a break, samples, where balancing counts every sample; and ``tested``, samples
-        of the acceptance tests that followed.  ``details`` has ``weights`` (episodes, 18) after each and the number of
-        ``restarts``.
+        of the acceptance tests that followed.  ``details`` has ``weights`` (episodes, 18) after each, its start
+        ``angles`` (episodes, 2) and the number of ``restarts``.
         """
         session = Session(self, seed, seconds, progress, _STREAM)
         rng, plant = session.rng, episode(self.rig, self.task)
@@ -204,6 +209,7 @@ class LinearQLearning:
         most, longest_test = self.max_episodes, len(self.acceptance) * self.acceptance_episodes * self.task.steps
         lengths, upright, tested = (np.zeros(most, dtype=np.int64) for _ in range(3))
         rewards, success, history = np.zeros(most), np.zeros(most, dtype=np.bool_), np.zeros((most, len(TABLE1)))
+        angles = np.zeros((most, 2))
         weights = self._initial(rng)
         episodes = age = streak = restarts = 0
         outcome = Outcome.BUDGET_SPENT
@@ -214,7 +220,7 @@ class LinearQLearning:
                 restarts += 1
             chunk = min(_CHUNK, most - episodes, (self.restart_after or most) - age)
             rows = slice(episodes, episodes + chunk)
-            records = lengths[rows], rewards[rows], upright[rows], success[rows], history[rows]
+            records = lengths[rows], rewards[rows], upright[rows], success[rows], history[rows], angles[rows]
             done, streak, finite = _run_episodes(
                 weights, scales, forces, settings, plant, age, streak, session.left, rng, *records
             )
@@ -242,10 +248,12 @@ class LinearQLearning:
             weights,
             (np.cumsum(curve["length"] + curve["tested"]), history[:episodes]),
             curve,
-            {"weights": history[:episodes], "restarts": np.array(restarts)},
+            {"weights": history[:episodes], "angles": angles[:episodes], "restarts": np.array(restarts)},
         )
 
     def _initial(self, rng: np.random.Generator) -> Array:
+        if self.initial is not None:
+            return np.array(self.initial, dtype=np.float64)
         return self.init_std * rng.standard_normal(len(TABLE1)) if self.init_std else np.zeros(len(TABLE1))
 
     def _accept(self, policy: LinearQPolicy, rng: np.random.Generator) -> tuple[bool, int]:
@@ -310,7 +318,7 @@ def _greedy(g, forces):
 
 @compiled
 def _run_episodes(
-    w, scales, forces, settings, e, age, streak, budget, rng, lengths, rewards, upright, success, history
+    w, scales, forces, settings, e, age, streak, budget, rng, lengths, rewards, upright, success, history, angles
 ):
     """Run Algorithm 1 for some episodes, changing ``w`` in place; stop early at the streak, the budget or overflow.
 
@@ -323,6 +331,7 @@ def _run_episodes(
         alpha = s.alpha / (1.0 + s.alpha_decay * (age + k))
         exploration = s.epsilon / (1.0 + s.epsilon_decay * (age + k))
         x = started(e, rng)
+        angles[k, 0], angles[k, 1] = x[1], x[2]
         up_for = counted(-1, links_upright(x, rule.target, rule.upright_angle))
         _write_features(x, scales, value, slope)
         code = 0

@@ -31,7 +31,7 @@ def algorithm_1(learner, seed, episodes):
         alpha = learner.alpha / (1 + learner.alpha_decay * episode)
         epsilon = learner.epsilon / (1 + learner.epsilon_decay * episode)
         if isinstance(task, dpend.Balance):
-            th1, th2 = (task.lam * rng.uniform(-1, 1) for _ in range(2))
+            th1, th2 = (spread * rng.uniform(-1, 1) for spread in task.angle_spreads)
         else:
             th1, th2 = (np.pi / 2 + task.angle_spread * rng.uniform(-1, 1) for _ in range(2))
         s = stepper.reset([0, th1, th2, 0, 0, 0])[0]
@@ -55,10 +55,11 @@ def algorithm_1(learner, seed, episodes):
     [
         LinearQLearning.published(RIG, task=dpend.Balance(failure_cost=3.0, state_weights=(1, 2, 3))),
         replace(LinearQLearning.published(RIG, task=dpend.Balance(criterion="report")), epsilon=0.3),
+        LinearQLearning.published(RIG, task=dpend.Balance(lam2=0.0)),
         LinearQLearning.tuned(RIG, select=False),
         LinearQLearning(RIG, task=dpend.SwingUp(start="side", angle_spread=0.1, steps=120), alpha=1e-6, epsilon=0.3),
     ],
-    ids=["published", "exploring", "tuned", "swing-up"],
+    ids=["published", "exploring", "link 2 upright", "tuned", "swing-up"],
 )
 def test_the_compiled_loop_does_what_algorithm_1_says(learner):
     learner = replace(learner, max_episodes=4, streak=99)
@@ -90,6 +91,19 @@ def test_initial_weights_may_be_drawn():
     w = learner.train(0).policy.weights
     assert 0.8 < w.std() < 4.0
     assert (w != learner.train(1).policy.weights).all()
+
+
+def test_learning_goes_on_from_given_weights_from_the_starts_that_it_records():
+    learner = replace(LinearQLearning.published(RIG, cart_features=False), epsilon=0.0, max_episodes=20)
+    begun = learner.train(3)
+    w = begun.details["weights"][11]
+    going_on = replace(learner, initial=tuple(w), max_episodes=1).train(4)
+    x0 = np.array([0.0, *going_on.details["angles"][0], 0.0, 0.0, 0.0])
+    frozen = replace(learner, initial=tuple(w), alpha=1e-300, max_episodes=1).train(4)
+    run = dpend.simulate(RIG, frozen.policy, x0, task=learner.task)
+    assert frozen.curve["length"][0] == len(run.u)
+    np.testing.assert_allclose(frozen.policy.weights, w, rtol=1e-12)
+    assert (going_on.policy.weights != w).any()
 
 
 def test_the_same_seed_learns_the_same_and_another_something_else():
@@ -162,6 +176,7 @@ def test_features_of_scale_zero_keep_weight_zero():
         ({"restart_after": 0}, "restart_after must be a whole number, at least 1; got 0."),
         ({"max_episodes": 0}, "max_episodes must be a whole number, at least 1; got 0."),
         ({"init_std": -1.0}, "init_std must be finite and at least 0; got -1.0."),
+        ({"initial": (1.0,)}, "initial must be 18 finite numbers; got (1.0,)."),
         ({"scales": (1.0,)}, "scales must be 18 finite numbers; got (1.0,)."),
         ({"forces": (50.0,)}, "forces must be a list of forces within the rig's limit of 40 N; got (50.0,)."),
         (

@@ -43,6 +43,12 @@ def test_balancing_starts_at_rest_with_both_angles_uniform_and_independent(lam: 
     assert not x0[:, [0, 3, 4, 5]].any()
 
 
+def test_link_2_may_start_within_another_angle_or_upright() -> None:
+    x0, as_usual = draw(Balance(lam=0.3, lam2=0.1)), draw(Balance(lam=0.3))
+    assert_allclose(x0, as_usual * [1, 1, 1 / 3, 1, 1, 1], rtol=1e-15)
+    assert (draw(Balance(lam=0.3, lam2=0.0))[:, 2] == 0).all()
+
+
 def test_one_generator_gives_the_same_directions_for_every_lambda() -> None:
     assert_allclose(draw(Balance(lam=0.4)) / 4, draw(Balance(lam=0.1)), rtol=1e-15)
     assert not np.array_equal(draw(Balance(), seed=1), draw(Balance()))
@@ -187,6 +193,10 @@ def test_tasks_are_as_long_as_the_reports_unless_told_otherwise() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
+        (
+            lambda: Balance(lam2=2.0),
+            "lambda is the greatest starting angle in rad: expected 0 < lambda <= pi/2; got 2.0.",
+        ),
         (lambda: Balance(steps=0), "steps must be a whole number, at least 1; got 0."),
         (
             lambda: Balance(steps=2.5),  # pyright: ignore[reportArgumentType]
