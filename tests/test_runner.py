@@ -1,6 +1,7 @@
 """The runner of studies: complete tables, whatever happens on the way; results neither stale nor lost; refusals."""
 
 import importlib
+import itertools
 import json
 import re
 import resource
@@ -458,12 +459,40 @@ def test_every_study_runs_quickly(name, tmp_path):
     assert (tmp_path / f"{name.removeprefix('studies.')}.png").stat().st_size > 10_000
 
 
-def test_the_published_sweep_covers_every_combination():
+def test_the_published_sweep_covers_every_reading_on_both_plants():
     jobs = published_q.jobs(published_q.Options(quick=True))
-    assert len(jobs) == 12
-    rows = published_q.run(replace(jobs[0], trainings=1, max_episodes=2)).rows
-    ways = {(row.failure_cost, row.failed_step, row.streak) for row in rows}
-    assert len(ways) == len(published_q.FAILURE_COSTS) * len(published_q.BOOTSTRAPS) * len(published_q.STREAKS)
+    readings = len(list(published_q._readings()))
+    learners, laws = len(published_q.LEARNERS), len(published_q.LAWS)
+    assert readings == 24
+    assert len({job.plant for job in jobs}) == 2
+    assert len(jobs) == len(set(jobs)) == 2 * (2 * learners + 2 * 2 * (readings - 1) + laws)
+
+
+def test_where_a_training_converges_its_weights_are_evaluated_frozen_and_learning():
+    job = next(job for job in published_q.jobs(published_q.Options(quick=True)) if job.learner == "12 features")
+    rows, arrays = published_q.run(replace(job, trainings=2, max_episodes=400, lams=(0.1,)))
+    assert [row.streak for row in rows] == list(published_q.STREAKS)
+    assert all(before.converged >= row.converged for before, row in itertools.pairwise(rows))
+    frozen, learning = arrays["frozen"], arrays["learning"]
+    assert [int((each >= 0).sum()) for each in learning[..., 0].T] == [row.converged for row in rows]
+    assert ((frozen[:, :, 0] >= 0) == (learning >= 0)).all()
+    assert max(frozen.max(), learning.max()) <= job.episodes
+
+
+def test_the_finding_about_the_report_is_what_the_kept_table_says():
+    rows = _runner.read_rows(_runner.kept_table("published_q"))
+    finding = " ".join((published_q.__doc__ or "").split("Finding:")[1].split())
+    main = _runner.where(rows, trainings=60, learner="12 features", theta2="random")
+    once, ten = (
+        [
+            _runner.where(main, plant=plant, streak=streak)["converged"].item() / 0.6
+            for plant in (published_q.AS_CODED, _runner.DEFAULT_RIG)
+        ]
+        for streak in (1, 10)
+    )
+    assert f"in {once[0]:.0f} % [63, 84] of 60 trainings on the program's plant and in {once[1]:.0f} %" in finding
+    assert f"ten in a row in {ten[0]:.0f} % and {ten[1]:.0f} %" in finding
+    assert not _runner.where(rows, trainings=60, learner="18 features")["converged"].any()
 
 
 def test_the_list_of_studies_takes_one_line_for_each_with_its_minutes():
