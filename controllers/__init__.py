@@ -19,13 +19,14 @@ if TYPE_CHECKING:
     from .energy import EnergyPump, EnergySwingUp
     from .estimators import EKF, UKF, Differences, Predictor, WithEstimator
     from .ilqr import ILQRMPC, ilqr
-    from .lqr import LQR, BangBang, Margins
+    from .lqr import LQR, BangBang, LinearLaw, Margins
     from .nmpc import NMPC
     from .sdre import SDRE
     from .smoothing import LowPass, RateLimit
     from .switching import Ellipsoid, NearEnergy, RolloutRegion, SwitchingController
     from .trajectory import Trajectory
     from .trajopt import NoTrajectory, optimize, violations
+    from .tuning import TunedLaw, tuned_gain, tuned_law, tuned_weights
     from .tvlqr import TVLQR
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "Ellipsoid",
     "EnergyPump",
     "EnergySwingUp",
+    "LinearLaw",
     "LowPass",
     "Margins",
     "NearEnergy",
@@ -51,11 +53,15 @@ __all__ = [
     "RolloutRegion",
     "SwitchingController",
     "Trajectory",
+    "TunedLaw",
     "WithEstimator",
     "Zero",
     "ilqr",
     "optimize",
     "shipped",
+    "tuned_gain",
+    "tuned_law",
+    "tuned_weights",
     "violations",
 ]
 
@@ -67,13 +73,14 @@ _MODULES = {
         "energy": ("EnergyPump", "EnergySwingUp"),
         "estimators": ("EKF", "UKF", "Differences", "Predictor", "WithEstimator"),
         "ilqr": ("ILQRMPC", "ilqr"),
-        "lqr": ("LQR", "BangBang", "Margins"),
+        "lqr": ("LQR", "BangBang", "LinearLaw", "Margins"),
         "nmpc": ("NMPC",),
         "sdre": ("SDRE",),
         "smoothing": ("LowPass", "RateLimit"),
         "switching": ("Ellipsoid", "NearEnergy", "RolloutRegion", "SwitchingController"),
         "trajectory": ("Trajectory",),
         "trajopt": ("NoTrajectory", "optimize", "violations"),
+        "tuning": ("TunedLaw", "tuned_gain", "tuned_law", "tuned_weights"),
         "tvlqr": ("TVLQR",),
     }.items()
     for name in names

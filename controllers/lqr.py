@@ -1,4 +1,4 @@
-r"""The linear-quadratic regulator about an equilibrium, its margins, and the sign of a law."""
+r"""The linear-quadratic regulator about an equilibrium, its margins, linear laws of any gain, and the sign of a law."""
 
 from __future__ import annotations
 
@@ -52,8 +52,43 @@ class Margins(NamedTuple):
     delay_samples: float
 
 
+class LinearLaw:
+    r"""Law :math:`u = -K(x - x^*)` of a given gain, which the rig saturates; angles count to the nearest whole turn.
+
+    Parameters
+    ----------
+    K : array_like (6,) or (1, 6)
+        Gain, N per unit of each state.
+    target : str or array_like (6,)
+        :math:`x^*`: the name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If the gain is not six finite numbers, or ``target`` is no equilibrium.
+    """
+
+    name = "linear law"
+
+    def __init__(self, K: npt.ArrayLike, *, target: str | npt.ArrayLike = "up-up") -> None:
+        gain = checked_array("K", K, "a gain (6,)")
+        if gain.shape not in ((6,), (1, 6)):
+            raise ValueError(f"K has a number for each of the six states ({', '.join(NAMES)}); got shape {gain.shape}.")
+        self.K: Array = gain.reshape(1, 6).copy()
+        self.target = as_equilibrium(target)
+
+    def __repr__(self) -> str:
+        return f"<{self.name}, K = {np.array2string(self.K[0], precision=4, separator=', ')}>"
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Return the law for ``n`` runs."""
+        gain, target = self.K[0], self.target
+        # A matrix product would round a row differently in batches of different size.
+        return holding(n, lambda t, y: -np.einsum("ij,j->i", deviation(y, target), gain))
+
+
 @renamed_arguments(about="target")
-class LQR:
+class LQR(LinearLaw):
     r"""Law :math:`u = -K(x - x^*)`, minimising :math:`\sum_k (x_k - x^*)^\top Q (x_k - x^*) + R u_k^2`.
 
     The plant is linearized about the equilibrium :math:`x^*` and the design is discrete: the plant is sampled with its
@@ -132,7 +167,7 @@ class LQR:
                 f"There is no stabilising solution of the Riccati equation for these weights ({error}); "
                 "let Q weigh every state that is to come to rest."
             ) from error
-        self.K: Array = np.asarray(K, dtype=np.float64).reshape(1, 6)
+        self.K = np.asarray(K, dtype=np.float64).reshape(1, 6)
         self.P: Array = np.asarray(P, dtype=np.float64)
         self.poles = np.linalg.eigvals(self._Ad - self._Bd @ self.K)
         radius = float(np.abs(self.poles).max())
@@ -144,15 +179,6 @@ class LQR:
             )
         for array in (self.Q, self.K, self.P, self.poles):
             array.setflags(write=False)
-
-    def __repr__(self) -> str:
-        return f"<LQR, K = {np.array2string(self.K[0], precision=4, separator=', ')}>"
-
-    def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Return the law for ``n`` runs."""
-        gain, target = self.K[0], self.target
-        # A matrix product would round a row differently in batches of different size.
-        return holding(n, lambda t, y: -np.einsum("ij,j->i", deviation(y, target), gain))
 
     def margins(self) -> Margins:
         """Return the margins of the sampled loop :math:`L(z) = K(zI - A_d)^{-1}B_d`.

@@ -118,11 +118,12 @@ GROUPS = {
         "starts": "Starts of each kind.",
     },
     "Cost": {
-        "ready, s": "Processor time from nothing to the first force, of what is designed; compiling not counted.",
+        "ready, s": "Processor time from nothing to the first force, of what is designed or tuned, compiling aside.",
         "trainings": "How many trainings the next columns are of.",
         "training, s": "Processor time of a training: median.",
         "learning, s": "Experience while it learned, s of the plant's time: median.",
-        "tests, s": "Experience of the tests by which a policy was chosen, of deep learners at most: median.",
+        "tests, s": "Experience of the tests by which a policy was chosen, of deep learners at most, or a law was "
+        "tuned in simulation: median.",
         "failed, %": "Trainings whose policy succeeds from less than 95 % of fresh starts, and Wilson's 95 % interval; "
         "balancing from λ = 0.1, swinging up from hanging, of deep learners also from the side.",
         "they save, %": "Starts from which these policies succeed, mean over those that the rank goes by; 95 % "

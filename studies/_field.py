@@ -10,7 +10,18 @@ from itertools import cycle
 from typing import ClassVar, Literal, NamedTuple
 
 import dpend
-from controllers import ILQRMPC, LQR, NMPC, SDRE, TVLQR, BangBang, EnergyPump, EnergySwingUp, SwitchingController
+from controllers import (
+    ILQRMPC,
+    LQR,
+    NMPC,
+    SDRE,
+    TVLQR,
+    BangBang,
+    EnergyPump,
+    EnergySwingUp,
+    SwitchingController,
+    tuned_law,
+)
 from controllers.data import shipped
 from dpend import Balance, Controller, Rig, SwingUp
 from dpend.suggest import suggestion
@@ -52,6 +63,7 @@ class PriorKnowledge(NamedTuple):
 
 
 _DESIGNED = PriorKnowledge("equations and parameters", "quadratic cost", "-")
+_TUNED = PriorKnowledge("equations and parameters", "starts saved, counted in simulation", "λ = .3 to .6 about upright")
 _ENERGY = PriorKnowledge("equations and parameters", "energy, then quadratic cost", "-")
 _SHAPED = PriorKnowledge("none", "shaped: height, low rates, upright", "anywhere, near upright too")
 _NEAR = _SHAPED._replace(starts="λ = .4 about upright")
@@ -126,6 +138,12 @@ CONTENDERS: tuple[Contender, ...] = (
               style=("#E69F00", "s", "--")),
     Contender(name="sign of stiff LQR", make=lambda rig, task: BangBang(_stiff(rig), float(rig.force_limit)),
               style=("#D55E00", "^", "--")),
+    Contender(name="LQR, best weights", make=lambda rig, task: tuned_law(rig, "weights"), prior_knowledge=_TUNED,
+              style=("#009E73", "s", (0, (1, 1)))),
+    Contender(name="tuned linear", make=lambda rig, task: tuned_law(rig, "gain"), prior_knowledge=_TUNED,
+              style=("#D55E00", "v", "-")),
+    Contender(name="sign of tuned linear", make=lambda rig, task: tuned_law(rig, "sign"), prior_knowledge=_TUNED,
+              style=("#0072B2", "P", "-")),
     Contender(name="SDRE", make=lambda rig, task: SDRE(rig), style=("#009E73", ">", "-."), cost=Cost.MODERATE),
     Contender(name="iLQR MPC", make=_planner, tasks=BOTH, style=("#000000", "X", "-"), cost=Cost.MODERATE),
     Contender(name="NMPC", make=_nonlinear, tasks=BOTH, style=("#777777", "P", "-"), cost=Cost.EXPENSIVE),

@@ -22,15 +22,28 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 import dpend
 from rl import LinearQLearning
 
 from . import _field, _runner, recoverable
 from ._basins import basin, plot_basins
-from ._estimates import Estimate, crossing, mean_share, share
+from ._estimates import Estimate, crossing, difference, mean_share, share
 from ._field import CONTENDERS, Contender, Cost, PriorKnowledge, find, styles
-from ._figures import Curve, Style, best_known, force_traces, forest, intervals, legend_above, mosaic, saved_by_angle
+from ._figures import (
+    Curve,
+    Style,
+    best_known,
+    curves,
+    facets,
+    force_traces,
+    forest,
+    intervals,
+    legend_above,
+    mosaic,
+    saved_by_angle,
+)  # fmt: skip
 from ._own import Own
 from ._runner import DEFAULT_RIG, Plant, Report, Result, Table, where
 from ._tables import Sheet, cell, sheet
@@ -55,6 +68,13 @@ ONLY_HERE = (
 KNOWN = (*(contender for contender in CONTENDERS if not contender.policy), *ONLY_HERE,
          *(contender for contender in CONTENDERS if contender.policy))  # fmt: skip
 """Those that can take part, what is designed first."""
+
+LINEAR = ("LQR", "stiff LQR", "LQR, best weights", "tuned linear", "LSPI", "QAC tuned")
+SWITCHED = ("sign of LQR", "sign of stiff LQR", "sign of tuned linear", "Q published", PLAIN, "Q tuned")
+"""Those whose law is linear up to the limit, and the sign of a linear one; all others are drawn as nonlinear."""
+BASELINE = "tuned linear"
+LADDER = ("LQR", "LQR, best weights", "sign of tuned linear", BASELINE, "DDPG balance", "PPO balance", "iLQR MPC")
+"""Those that are compared with the best linear law known, start by start."""
 
 DESIGNED, SHIPPED = "-", "shipped"  # how a "training" ended: a design, or a policy trained elsewhere, once
 BEST_KNOWN = "best known"  # what any force can save, from studies.recoverable
@@ -249,6 +269,9 @@ def report(table: Table) -> Report:
     success = {name: {lam: saved(table, name, lam) for lam in lams} for name in looks}
     falls = {name: falls_to(table, name) for name in looks}
     figures = {"": _overview(table, looks, success, falls)}
+    gains = _gains(table, success)
+    if gains:
+        figures["_nonlinearity"] = _plot_gains(success, gains, best(table)[0], looks)
     maps = {name: np.mean(found, axis=0) for name in looks if (found := table.arrays("basin", contender=name))}
     if maps:
         figures["_basins"] = plot_basins(maps, known=_default(table))
@@ -263,7 +286,14 @@ def report(table: Table) -> Report:
         note="† as shipped, one training" if any("†" in name for name in named) else "",
         brief=brief,
     )
-    tables = (saves, _falls_table(table, success, falls), *_learning_tables(table, success))
+    beyond = [{"contender": name} | {f"λ = {lam:g}": each for lam, each in of.items()} for name, of in gains.items()]
+    title = f"Saved beyond the {BASELINE} law, points, on the starts that both had"
+    tables = (
+        saves,
+        sheet(title, beyond, "+.1%", brief=brief),
+        _falls_table(table, success, falls),
+        *_learning_tables(table, success),
+    )
     return Report(figures=figures, tables=[each for each in tables if each.lines])
 
 
@@ -277,25 +307,25 @@ def _overview(
         for name in looks
         for force in table.arrays("force", contender=name)
     }
-    learned = "learned († as shipped, one training)"
+    kinds = ("linear", "sign of a linear law", "nonlinear († one training)")
+    of_kind = [[name for name in looks if name in of] for of in (LINEAR, SWITCHED)]
+    of_kind.append([name for name in looks if name not in (*LINEAR, *SWITCHED)])
     figure, axes = mosaic(
-        [[[["designed", learned]]], [[["falls", [[title] for title in traces] or "falls"]]]],
-        height=7.6, height_ratios=[1.0, 1.1],
+        [[[list(kinds)]], [[["falls", [[title] for title in traces] or "falls"]]]],
+        height=8.6, height_ratios=[1.0, 1.1],
     )  # fmt: skip
-    axes[learned].sharey(axes["designed"])
-    axes[learned].tick_params(labelleft=False)
     reported = TABLE2 if _default(table) else {}
     stars = {lam: Estimate(value) for lam, value in reported.items() if lams[0] <= lam <= lams[-1]}
-    for title in ("designed", learned):
-        axis, designed = axes[title], title == "designed"
-        own = [name for name in looks if (DESIGNED in _outcomes(table, name)) == designed]
+    for kind, own in zip(kinds, of_kind, strict=True):
+        axis, first = axes[kind], kind == kinds[0]
         best_known(axis, known, BEST_KNOWN)
         of = {_label(table, name): success[name] for name in own}
-        saved_by_angle(axis, of, [looks[name] for name in own], "starts saved" if designed else "")
-        if stars and not designed:
+        saved_by_angle(axis, of, [looks[name] for name in own], "starts saved" if first else "")
+        axis.tick_params(labelleft=first)
+        if stars and kind == kinds[1]:
             style = ("k", "*", "none")
             intervals(axis, list(stars), stars.values(), style, label="the report's Table 2", ms=8, zorder=5)
-        legend_above(axis, 2, title)
+        legend_above(axis, 1, kind)
 
     order = sorted(falls, key=lambda name: (falls[name][0].value, falls[name][1].value), reverse=True)
     shown = ({BEST_KNOWN: known_falls} if known else {}) | {name: falls[name] for name in order}
@@ -304,6 +334,36 @@ def _overview(
         forest(axes["falls"], of, looks, tried=(lams[0], lams[-1]), hollow=which == 1)
     axes["falls"].set_xlabel("λ90 (open) and λ50 (filled), rad")
     force_traces(axes, traces, float(table.rows["sample_time"].to_numpy()[0]), _TRACE_SECONDS)
+    return figure
+
+
+def _gains(table: Table, success: Mapping[str, Curve]) -> dict[str, Curve]:
+    """Return by how much the share saved exceeds the baseline's by λ, of the others of the ladder that took part."""
+    if BASELINE not in success:
+        return {}
+    base = table.array("saved", contender=BASELINE)
+    saved = {name: table.array("saved", contender=name) for name in LADDER if name in success and name != BASELINE}
+    return {
+        name: {lam: difference(of[: len(base), k], base[: len(of), k]) for k, lam in enumerate(success[name])}
+        for name, of in saved.items()
+    }
+
+
+def _plot_gains(
+    success: Mapping[str, Curve], gains: Mapping[str, Curve], known: Curve, looks: Mapping[str, Style]
+) -> Figure:
+    """Draw what the ladder saves, and what each of it saves beyond the baseline: what a nonlinear law can gain."""
+    figure, ((left, right),) = facets(1, 2, height=3.9)
+    base = success[BASELINE]
+    saved_by_angle(left, {name: success[name] for name in LADDER if name in success}, looks)
+    best_known(left, known, BEST_KNOWN)
+    right.axhline(0.0, color=looks[BASELINE][0], lw=1.0)
+    above = {lam: Estimate(*(np.array(each) - base[lam].value)) for lam, each in known.items() if lam in base}
+    best_known(right, above, BEST_KNOWN)
+    curves(right, gains, looks)
+    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:+.0f}"))
+    right.set(xlabel="greatest starting angle λ (rad)", ylabel=f"points more than the {BASELINE} law")
+    legend_above(figure, 4)
     return figure
 
 

@@ -88,8 +88,8 @@ DEVICES = {
 
 DEVICE_TASK = "balance 0.3"
 SHOWN = (
-    "LQR", "sign of stiff LQR", "Q tuned", "LSPI", "iLQR MPC", "TVLQR", "PPO swing-up", "PPO swing-up, smooth",
-    "DDPG swing-up",
+    "LQR", "tuned linear", "sign of stiff LQR", "Q tuned", "LSPI", "iLQR MPC", "TVLQR", "PPO swing-up",
+    "PPO swing-up, smooth", "DDPG swing-up",
 )  # fmt: skip
 """Those whose forces and spectra are drawn, beside the user's own."""
 

@@ -25,13 +25,16 @@ from controllers import (
     Constant,
     Differences,
     EnergyPump,
+    LinearLaw,
     LowPass,
     NearEnergy,
     Predictor,
     RateLimit,
     SwitchingController,
+    TunedLaw,
     WithEstimator,
 )
+from controllers.tuning import TuningCost
 from dpend import Controller, Rig
 from dpend.controller import check_controller, is_batched
 from dpend.params import Array
@@ -50,6 +53,10 @@ RECIPES: dict[str, Callable[[Rig], Any]] = {
     "SwitchingController": lambda rig: SwitchingController(rig, EnergyPump(rig)),
     "Constant": lambda rig: Constant(1.5),
     "GainPolicy": lambda rig: GainPolicy((1.0, -8.0, 9.0, 1.0, -0.5, 2.0)),
+    "LinearLaw": lambda rig: LinearLaw(LQR(rig).K),
+    "TunedLaw": lambda rig: TunedLaw(
+        rig=rig, law="gain", numbers=LQR(rig).K[0], saved=1.0, cost=TuningCost(1, 1, 6.0, 0.1), about={}
+    ),
     "LowPass": lambda rig: LowPass(rig, LQR(rig), frequency=20.0),
     "RateLimit": lambda rig: RateLimit(rig, LQR(rig), 500.0),
     "LinearQPolicy": lambda rig: LinearQPolicy(np.linspace(-1, 1, 18), np.ones(18), (0.0, -4.0, 4.0)),

@@ -12,7 +12,18 @@ from rigs import whole
 from scipy import stats
 from scipy.optimize import isotonic_regression
 
-from studies._estimates import Estimate, crossing, falling_fit, mean_share, median, number, ranking, share, worst_cases
+from studies._estimates import (
+    Estimate,
+    crossing,
+    difference,
+    falling_fit,
+    mean_share,
+    median,
+    number,
+    ranking,
+    share,
+    worst_cases,
+)
 
 
 @cache
@@ -31,6 +42,14 @@ def test_wilson_matches_the_closed_form():
     centre = (s + z**2 / 2) / (n + z**2)
     half = z / (n + z**2) * np.sqrt(s * (n - s) / n + z**2 / 4)
     assert share(s, n) == pytest.approx((0.74, centre - half, centre + half))
+
+
+@pytest.mark.parametrize(("gained", "lost"), [(0.05, 0.05), (0.02, 0.0), (0.3, 0.1)])
+def test_intervals_of_a_difference_on_the_same_starts_cover_the_true_one(gained, lost):
+    counts = np.random.default_rng(0).multinomial(100, (gained, lost, 1 - gained - lost), size=1000)
+    found = [difference(np.repeat((1, 0, 1), n), np.repeat((0, 1, 1), n)) for n in counts]
+    assert found[0].value == (counts[0, 0] - counts[0, 1]) / 100
+    assert 0.93 <= np.mean([each.low <= gained - lost <= each.high for each in found]) <= 0.995
 
 
 @pytest.mark.slow

@@ -157,6 +157,17 @@ def test_one_controller_falls_where_its_starts_say_and_several_trainings_where_t
     assert lambda_sweep.falls_to(trained, "Q tuned")[0] == crossing([0.2, 0.35, 0.5], shares, 0.5)
 
 
+def test_what_a_law_saves_beyond_the_tuned_linear_one_is_counted_on_the_starts_that_both_had():
+    of = {lambda_sweep.BASELINE: [[1], [0], [0], [0]], "iLQR MPC": [[1], [1]], "LQR": [[0], [0], [0], [0]]}
+    made = table(
+        *(row(contender=name, episodes=len(each), successes=1, successes_report=1, outcome="-")
+          for name, each in of.items()),
+        arrays={k: {"saved": np.array(each)} for k, each in enumerate(of.values())},
+    )  # fmt: skip
+    (beyond,) = (found for title, found in cells(lambda_sweep.report(made)).items() if "beyond" in title)
+    assert {name: words[0].split()[0] for name, words in beyond.items()} == {"LQR": "-25.0", "iLQR MPC": "+50.0"}
+
+
 def test_the_best_known_is_the_share_of_the_shipped_table_within_the_spreads():
     curve, (half, most) = lambda_sweep.best(table(row(lam=0.2), row(lam=0.4)))
     assert list(curve) == [0.2, 0.3, 0.4]
