@@ -36,8 +36,8 @@ from .lqr import LQR, BangBang, LinearLaw
 Spread = float | Sequence[float]  # greatest starting angles, rad
 
 GRID: Mapping[str, tuple[float, ...]] = MappingProxyType({
-    "pos": (1.0, 10.0, 100.0), "th1": (1.0, 10.0, 100.0), "th2": (1.0, 10.0, 100.0), "vel": (0.1, 1.0, 10.0),
-    "om1": (10.0, 100.0, 1000.0), "om2": (0.1, 1.0, 10.0), "R": (1.0,),
+    "pos": (10.0, 100.0, 1000.0), "th1": (0.0, 1.0, 10.0), "th2": (0.0, 1.0, 10.0), "vel": (0.0, 0.1, 1.0),
+    "om1": (100.0, 1000.0, 10_000.0), "om2": (0.0, 0.1, 1.0), "R": (1.0,),
 })  # fmt: skip
 """Weights that :func:`tuned_weights` tries, each with each: the diagonal of Q, by state, and R; only ratios matter."""
 

@@ -49,7 +49,8 @@ def test_intervals_of_a_difference_on_the_same_starts_cover_the_true_one(gained,
     counts = np.random.default_rng(0).multinomial(100, (gained, lost, 1 - gained - lost), size=1000)
     found = [difference(np.repeat((1, 0, 1), n), np.repeat((0, 1, 1), n)) for n in counts]
     assert found[0].value == (counts[0, 0] - counts[0, 1]) / 100
-    assert 0.93 <= np.mean([each.low <= gained - lost <= each.high for each in found]) <= 0.995
+    covered = np.mean([each.low <= gained - lost <= each.high for each in found])
+    assert 0.93 <= covered <= (0.975 if lost else 1.0)  # conservative where hardly any differ
 
 
 @pytest.mark.slow
