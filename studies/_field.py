@@ -143,7 +143,7 @@ CONTENDERS: tuple[Contender, ...] = (
     Contender(name="tuned linear", make=lambda rig, task: tuned_law(rig, "gain"), prior_knowledge=_TUNED,
               style=("#D55E00", "v", "-")),
     Contender(name="sign of tuned linear", make=lambda rig, task: tuned_law(rig, "sign"), prior_knowledge=_TUNED,
-              style=("#0072B2", "P", "-")),
+              style=("#CC79A7", "P", "--")),
     Contender(name="SDRE", make=lambda rig, task: SDRE(rig), style=("#009E73", ">", "-."), cost=Cost.MODERATE),
     Contender(name="iLQR MPC", make=_planner, tasks=BOTH, style=("#000000", "X", "-"), cost=Cost.MODERATE),
     Contender(name="NMPC", make=_nonlinear, tasks=BOTH, style=("#777777", "P", "-"), cost=Cost.EXPENSIVE),

@@ -28,7 +28,7 @@ def test_every_shipped_law_saves_more_fresh_starts_than_the_one_it_improves_on()
     default, shares = saved(LQR(RIG), 0.4), {law: saved(found, 0.4) for law, found in laws.items()}
     assert shares["gain"] > shares["weights"] > default + 0.02
     assert shares["gain"] > shares["sign"] > default + 0.05
-    assert all(found.cost.evaluations >= 1000 and found.cost.cpu_seconds > 1 for found in laws.values())
+    assert all(found.cost.evaluations > 700 and found.cost.cpu_seconds > 1 for found in laws.values())
 
 
 def test_a_gain_tuned_for_a_while_saves_more_than_lqr_and_its_cost_is_counted() -> None:
