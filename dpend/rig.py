@@ -360,11 +360,11 @@ def _bogdanov2004() -> Rig:
 
 
 def _pilco2011() -> Rig:
-    """Two 0.6 m rods on a 0.5 kg cart, 20 N, slow sampling, noisy sensors: PILCO's cart double pendulum.
+    """Two 0.6 m rods on a 0.5 kg cart, 20 N, slow sampling, noisy sensors, g = 9.82: PILCO's cart double pendulum.
 
     Source: M. Deisenroth and C. Rasmussen, ICML 2011; scenario cartDoublePendulum of GitHub UCL-SML/pilco-matlab.
     """
-    params = Params(cart_mass=0.5, mass1=0.5, mass2=0.5, length1=0.6, length2=0.6, cart_friction=0.1)
+    params = Params(cart_mass=0.5, mass1=0.5, mass2=0.5, length1=0.6, length2=0.6, cart_friction=0.1, gravity=9.82)
     return Rig(params=params, sample_time=0.05, substeps=5, force_limit=20.0, sensor_noise=0.01)
 
 

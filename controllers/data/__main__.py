@@ -91,7 +91,7 @@ RECIPES = (
     _transfer("down-down", "down-up", back=True),
     Recipe("gustafsson2016_as_coded", "hanging", "up-up", "effort", {"duration": 2.5} | _MANY),
     Recipe("bogdanov2004", "hanging", "up-up", "effort", {"duration": 2.0} | _MANY),
-    Recipe("pilco2011", "hanging", "up-up", "effort", {"duration": 2.0} | _MANY),
+    Recipe("pilco2011", "hanging", "up-up", "effort", {"duration": 2.0} | _MORE),
     Recipe("dompc_dip", "hanging", "up-up", "effort", {"duration": 4.0, "starts": 4, "seed": 0, "solver": "ipopt"}),
     Recipe("gymnasium_idp", "hanging", "up-up", "effort", {"duration": 2.5} | _MANY),
     Recipe("dm_control_two_poles", "hanging", "up-up", "effort", _ONE | {"duration": 4.5}, easing=(2.0, 1.4)),
