@@ -164,7 +164,7 @@ def _saved(found: Mapping[float, npt.NDArray[Any]]) -> Line:
     by_lam: Line = {f"λ = {lam:g}": _percent(share(found[lam].sum(), len(saved))) for lam in SHOWN if lam in found}
     return by_lam | {
         "mean": _percent(mean_share(scored.mean(axis=1), scored.size)),
-        "λ90, rad": cell(crossing(list(found), saved, 0.9), ".3f", tried=(min(found), max(found))),
+        "λ90, rad": cell(crossing(list(found), saved, 0.9, square=True), ".3f", tried=(min(found), max(found))),
         "starts": len(saved),
     }
 

@@ -12,7 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
-from scipy.special import logit
+from scipy.interpolate import PchipInterpolator
+from scipy.optimize import isotonic_regression
+from scipy.special import expit, logit
 
 from dpend.params import Array
 
@@ -147,23 +149,22 @@ def worst_cases(
     return Estimate(found, min(float(interval.low), found), max(float(interval.high), found))
 
 
-def crossing(
-    levels: npt.ArrayLike, outcomes: npt.ArrayLike, share: float = 0.5, *, resamples: int = 1000, seed: int = 0
-) -> Estimate:
+def crossing(levels: npt.ArrayLike, outcomes: npt.ArrayLike, share: float = 0.5, *, square: bool = False) -> Estimate:
     r"""Return the level at which success falls to a share, such as :math:`\lambda_{50}` or :math:`\lambda_{90}`.
 
-    The curve is the best that never rises (isotonic), logistic between levels, so that it is exact where success is a
-    logistic function of the level, and free to have a plateau where it is not.  The interval is the bootstrap's over
-    rows, its percentiles expanded for few rows as Student's distribution expands the normal's.  Rows may differ by
-    chance, or be the same starts at every level: their ties are kept, since a row is drawn whole.
+    The curve is the best that never rises (isotonic).  Between levels it is logistic; or, where the starts of a level
+    :math:`\lambda` fill a ``square`` :math:`[-\lambda, \lambda]^2`, the area :math:`\lambda^2 (1 - p)` that is lost
+    is a monotone cubic of the square's: success stays at one until the square meets what cannot be saved, which no
+    logistic does.  The interval holds the levels at which Student's test does not tell the curve from the share
+    (Fieller).  The curve's variance is that of the rows' means with their covariance, so that rows may be other starts
+    at each level, or the same ones scaled; of outcomes 0 and 1 it is the share's under test, as in Wilson's interval.
 
     The rows ``(n, L)`` are units of replication: a start's successes, or the shares of a trained controller, at levels
     ``(L,)`` that increase; a crossing beyond them is minus or plus infinite.  Shapes that do not fit, levels that do
     not increase, and a share that is not between 0 and 1 are a ValueError.
 
-    With starts as rows the interval covers as it should from some 200 on, with ten trainings as rows too.  What is
-    assumed between levels shows in :math:`\lambda_{90}` where success falls by more than a third from one to the next.
-    Source of the expansion: T. Hesterberg, *What Teachers Should Know About the Bootstrap*, 2015.
+    Sources: E. Fieller, *Some Problems in Interval Estimation*, 1954; F. Fritsch and J. Butland, *A Method for
+    Constructing Local Monotone Piecewise Cubic Interpolants*, 1984.
     """
     points = np.asarray(levels, dtype=np.float64)
     rows = np.asarray(outcomes, dtype=np.float64)
@@ -175,46 +176,42 @@ def crossing(
         raise ValueError(f"The levels must increase; got {points.tolist()}.")
     if not 0 < share < 1:
         raise ValueError(f"share must lie between 0 and 1; got {share!r}.")
-    n = len(rows)
-    distinct, counts = np.unique(rows, axis=0, return_counts=True)  # few, however many starts there are
-    drawn = np.random.default_rng(seed).multinomial(n, counts / n, size=resamples) / n
-    found = float(_crossed(points, rows.mean(axis=0, keepdims=True), share, n)[0])
-    tail = stats.norm.cdf(stats.t.ppf(0.025, n - 1) * np.sqrt(n / (n - 1)))
-    low, high = np.quantile(_crossed(points, drawn @ distinct, share, n), [tail, 1 - tail], method="inverted_cdf")
-    return Estimate(found, min(float(low), found), max(float(high), found))
+    n, L = rows.shape
+    mean, wanted = ((n * each + 0.5) / (n + 1) for each in (rows.mean(axis=0), share))
+    at = np.interp(np.arange(_BETWEEN * (L - 1) + 1) / _BETWEEN, np.arange(L), points)
+    fitted = isotonic_regression(mean, increasing=False).x
+    curve = _curve(at, points, fitted, square)
+    slopes = np.stack([(curve - _curve(at, points, fitted - 1e-6 * one, square)) / 1e-6 for one in np.eye(L)], axis=1)
+    second = np.cov(rows.T).reshape(L, L) * n / (n + 1) ** 2
+    if binary := np.isin(rows, (0, 1)).all():
+        second = ((rows.T @ rows + 0.5) / (n + 1) - np.outer(mean, mean)) / (n + 1)
+    variance = np.maximum(np.einsum("ij,jk,ik->i", slopes, second, slopes), 0.0)
+    if binary:  # that of the share under test, as Wilson's
+        variance *= wanted * (1 - wanted) / (curve * (1 - curve))
+    above, half = curve - wanted, stats.t.ppf(0.975, n - 1) * np.sqrt(variance)
+    value = _reached(at, np.minimum.accumulate(above))
+    low = _reached(at, np.minimum.accumulate(above - half))
+    high = _reached(at, np.maximum.accumulate((above + half)[::-1])[::-1])
+    return Estimate(value, min(low, value), max(high, value))
 
 
-def _crossed(levels: Array, curves: Array, share: float, n: int) -> Array:
-    """Return where curves, made to fall, cross a share; half a success and half a failure keep their logits finite."""
-    falling = falling_fit(curves)
-    below = falling < share - 1e-12  # a mean that should equal the share may miss it by rounding
-    after = np.clip(np.argmax(below, axis=1), 1, None)
-    if len(levels) == 1:
-        return np.where(below[:, 0], -np.inf, np.inf)
-    each = np.arange(len(curves))
-    above, under = (logit((n * falling[each, at] + 0.5) / (n + 1)) for at in (after - 1, after))
-    with np.errstate(invalid="ignore", divide="ignore"):  # where a curve does not cross
-        way = (above - logit((n * share + 0.5) / (n + 1))) / (above - under)
-        level = levels[after - 1] + way * (levels[after] - levels[after - 1])
-    return np.where(below[:, 0], -np.inf, np.where(below[:, -1], level, np.inf))
+_BETWEEN = 200  # points from one level to the next
 
 
-def falling_fit(curves: Array) -> Array:
-    r"""Return the curves that never rise and are nearest in least squares, a row each of ``(m, L)``.
+def _curve(at: Array, levels: Array, shares: Array, square: bool) -> Array:
+    """Return the curve through shares of success at its levels."""
+    if not square or len(levels) == 1:
+        return expit(np.interp(at, levels, logit(shares)))
+    lost = PchipInterpolator(levels**2, levels**2 * (1 - shares))(at**2) / at**2
+    return 1 - np.clip(lost, 1e-12, 1 - 1e-12)
 
-    It is :math:`\hat y_i = \min_{a \le i} \max_{b \ge i} \bar y_{a..b}`: T. Robertson, F. T. Wright and R. L. Dykstra,
-    *Order Restricted Statistical Inference*, 1988, section 1.4.
-    """
-    # scipy.optimize.isotonic_regression finds the same, but one curve a call: for the thousand short ones of a
-    # bootstrap, and the hundreds of crossings in a table, this is 24 times as fast.
-    m, L = curves.shape
-    sums = np.concatenate([np.zeros((m, 1)), np.cumsum(curves, axis=1)], axis=1)
-    fitted = np.full((m, L), np.inf)
-    for a in range(L):
-        means = (sums[:, a + 1 :] - sums[:, a, None]) / np.arange(1, L - a + 1)
-        greatest = np.maximum.accumulate(means[:, ::-1], axis=1)[:, ::-1]
-        np.minimum(fitted[:, a:], greatest, out=fitted[:, a:])
-    return fitted
+
+def _reached(at: Array, falling: Array) -> float:
+    """Return where values that never rise fall below zero; infinite where they all do, or none does."""
+    k = int((falling > -1e-9).sum())  # a mean that should equal the share may miss it by rounding
+    if k in (0, len(at)):
+        return math.inf if k else -math.inf
+    return float(at[k - 1] + (at[k] - at[k - 1]) * max(falling[k - 1], 0.0) / (max(falling[k - 1], 0.0) - falling[k]))
 
 
 Quotient = tuple[npt.ArrayLike, npt.ArrayLike]

@@ -90,7 +90,7 @@ class Options(_field.Options, _runner.OnRig):
 
     known: ClassVar[tuple[Contender, ...]] = KNOWN
 
-    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
+    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
     trainings: int = 10  # Trainings of each learner that learns in seconds.
     episodes: int = 100  # Starts on which each trained controller is evaluated at each λ.
     part_of: int = 250  # Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth.
@@ -158,7 +158,7 @@ class Job:
 def jobs(options: Options) -> list[Job]:
     """List the work: each learner once a training, all others once; what takes longest first."""
     trainings, episodes = options.sizes
-    lams = tuple(sorted(options.lam))[:: 4 if options.quick else 1]
+    lams = tuple(sorted(options.lam))[:: 5 if options.quick else 1]
     return [
         Job(
             options.plant, contender.name, k, lams, k * episodes,
@@ -224,7 +224,7 @@ def falls_to(table: Table, contender: str) -> Falls:
     own = table.where(contender=contender)
     shares = own.assign(share=own["successes"] / own["episodes"]).pivot(index="training", columns="lam", values="share")
     outcomes = shares.to_numpy() if len(shares) > 1 else table.array("saved", contender=contender)
-    return crossing(list(shares), outcomes, 0.5), crossing(list(shares), outcomes, 0.9)
+    return _falls(list(shares), outcomes)
 
 
 def best(table: Table) -> tuple[dict[float, Estimate], Falls]:
@@ -236,7 +236,11 @@ def best(table: Table) -> tuple[dict[float, Estimate], Falls]:
         return {}, (beyond, beyond)
     outcomes = np.stack(list(known.values()), axis=1)
     shares = {lam: share(saved, len(saved)) for lam, saved in known.items()}
-    return shares, (crossing(list(known), outcomes, 0.5), crossing(list(known), outcomes, 0.9))
+    return shares, _falls(list(known), outcomes)
+
+
+def _falls(lams: list[float], outcomes: npt.NDArray[Any]) -> Falls:
+    return crossing(lams, outcomes, 0.5, square=True), crossing(lams, outcomes, 0.9, square=True)
 
 
 def _default(table: Table) -> bool:

@@ -144,7 +144,7 @@ def test_a_share_is_of_one_contender_one_spread_and_one_criterion():
 def test_one_controller_falls_where_its_starts_say_and_several_trainings_where_their_shares_do():
     made = ran(job("LQR", starts=200, lams=(0.2, 0.35, 0.5)))
     half, most = lambda_sweep.falls_to(made, "LQR")
-    assert half == crossing([0.2, 0.35, 0.5], made.array("saved"), 0.5)
+    assert half == crossing([0.2, 0.35, 0.5], made.array("saved"), 0.5, square=True)
     saves = dict(zip(made.rows["lam"], made.rows["successes"] / made.rows["episodes"], strict=True))
     assert saves[0.2] > 0.9 > saves[0.35] > 0.5 > saves[0.5]
     assert 0.2 < most.low < most.value < most.high < 0.35 < half.low < half.value < 0.5
@@ -154,7 +154,7 @@ def test_one_controller_falls_where_its_starts_say_and_several_trainings_where_t
         for k, curve in enumerate(shares)
         for lam, value in zip((0.2, 0.35, 0.5), curve, strict=True)
     ))  # fmt: skip
-    assert lambda_sweep.falls_to(trained, "Q tuned")[0] == crossing([0.2, 0.35, 0.5], shares, 0.5)
+    assert lambda_sweep.falls_to(trained, "Q tuned")[0] == crossing([0.2, 0.35, 0.5], shares, 0.5, square=True)
 
 
 def test_what_a_law_saves_beyond_the_tuned_linear_one_is_counted_on_the_starts_that_both_had():

@@ -226,7 +226,7 @@ def test_the_tables_say_how_often_it_succeeds_and_where_it_breaks() -> None:
         reported = robustness.report(table(found))
     scores, breaks, plants = map(markdown, reported.tables)
     assert "| LQR | balance | 2,000 | 100.0 | 100.0 | 100.0 | 100.0 | 100.0 | 50.0 | 100.0 | 91.7 [" in scores
-    assert r"| LQR | balance | \> 25 | \> 0.5 | \> 7.3 | \> 0.9 | 1.5 | \> 1 |" in breaks
+    assert r"| LQR | balance | \> 25 | \> 0.5 | \> 7.3 | \> 0.9 | 1.5 [1.2, 1.8] | \> 1 |" in breaks
     assert "| LQR | balance | 16 | 100.0 [94.3, 100.0] | 100.0 | 100.0 |" in plants
     assert isinstance(reported.figures, dict)
     assert list(reported.figures) == ["", "_parameters", "_balance", "_plants"]
