@@ -90,7 +90,7 @@ class Options(_field.Options, _runner.OnRig):
 
     known: ClassVar[tuple[Contender, ...]] = KNOWN
 
-    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
+    lam: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
     trainings: int = 10  # Trainings of each learner that learns in seconds.
     episodes: int = 100  # Starts on which each trained controller is evaluated at each λ.
     part_of: int = 250  # Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth.
