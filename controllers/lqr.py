@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve, solve_continuous_are, solve_discrete_are
 
-from dpend.arguments import checked_array, checked_name, checked_positive
+from dpend.arguments import checked_array, checked_name, checked_positive, is_finite
 from dpend.controller import Act, Controller, Law
 from dpend.deprecation import renamed_arguments
 from dpend.linear import discretize, linearize
@@ -89,7 +89,7 @@ class LinearLaw:
 
 @renamed_arguments(about="target")
 class LQR(LinearLaw):
-    r"""Law :math:`u = -K(x - x^*)`, minimising :math:`\sum_k (x_k - x^*)^\top Q (x_k - x^*) + R u_k^2`.
+    r"""Law :math:`u = -K(x - x^*)`, minimising :math:`\sum_k \gamma^k ((x_k - x^*)^\top Q (x_k - x^*) + R u_k^2)`.
 
     The plant is linearized about the equilibrium :math:`x^*` and the design is discrete: the plant is sampled with its
     force held, so the gain is right for the sample time.  Angles are taken to the nearest whole turn, so every upright
@@ -109,6 +109,9 @@ class LQR(LinearLaw):
         ``"continuous"`` minimises :math:`\int x^\top Q x + R u^2\,dt` for a force that may change at any time.  Held
         over a sample such a gain can be too high: with Q = (1, 10, 10, 1, 1, 1), R = 0.01 the loops of the light
         presets ``pilco2011`` and ``dompc_dip`` are unstable, and a warning says so.
+    discount : float
+        :math:`\gamma`, above 0 and at most 1, which is no discount: the gain is that of
+        :math:`\sqrt\gamma A, \sqrt\gamma B`.  The cost of a learner that discounts has this gain, not that of 1.
 
     Attributes
     ----------
@@ -142,22 +145,28 @@ class LQR(LinearLaw):
         *,
         target: str | npt.ArrayLike = "up-up",
         design: Literal["discrete", "continuous"] = "discrete",
+        discount: float = 1.0,
     ) -> None:
         self.rig = rig = single_rig(rig, "LQR")
         self.Q = _weight(Q)
         self.R = checked_positive("R, the weight of the force,", R)
         self.target = as_equilibrium(target)
         checked_name("design", design, ("discrete", "continuous"))
+        if not (is_finite(discount) and 0 < discount <= 1):
+            raise ValueError(f"discount must be above 0 and at most 1; got {discount!r}.")
+        self.discount = float(discount)
         A, B = self._plant = linearize(rig.params, self.target)
         self._Ad, self._Bd = map(np.ascontiguousarray, discretize(A, B, rig.sample_time))
         try:
             # scipy's solvers, which python-control calls as well: to import that takes three times as long as all else.
             if design == "discrete":
-                P = solve_discrete_are(self._Ad, self._Bd, self.Q, [[self.R]])
-                K = solve(self._Bd.T @ P @ self._Bd + self.R, self._Bd.T @ P @ self._Ad)
+                Ad, Bd = np.sqrt(self.discount) * self._Ad, np.sqrt(self.discount) * self._Bd
+                P = solve_discrete_are(Ad, Bd, self.Q, [[self.R]])
+                K = solve(Bd.T @ P @ Bd + self.R, Bd.T @ P @ Ad)
                 slowest = np.abs(np.linalg.eigvals(self._Ad - self._Bd @ K)).max() - 1
             else:
-                P = solve_continuous_are(A, B, self.Q, [[self.R]])
+                decay = 0.5 * math.log(self.discount) / rig.sample_time
+                P = solve_continuous_are(A + decay * np.eye(6), B, self.Q, [[self.R]])
                 K = B.T @ P / self.R
                 slowest = np.linalg.eigvals(A - B @ K).real.max()
             if slowest > -1e-10:  # the solver does not refuse an integrator that no weight sees
@@ -165,7 +174,8 @@ class LQR(LinearLaw):
         except (np.linalg.LinAlgError, ValueError) as error:
             raise ValueError(
                 f"There is no stabilising solution of the Riccati equation for these weights ({error}); "
-                "let Q weigh every state that is to come to rest."
+                "let Q weigh every state that is to come to rest"
+                f"{', or raise the discount' * (self.discount < 1)}."
             ) from error
         self.K = np.asarray(K, dtype=np.float64).reshape(1, 6)
         self.P: Array = np.asarray(P, dtype=np.float64)

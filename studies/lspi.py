@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.linalg import solve_discrete_are
 
 import dpend
+from controllers import LQR
 from dpend.params import Array
 from rl import LSPI, GainPolicy, Learner, LinearQLearning, QuadraticQLearning
 from rl.lspi import gain_errors
@@ -72,15 +72,9 @@ class Job:
 
 
 def reference(rig: dpend.Rig) -> Array:
-    r"""Return the gain ``(6,)`` of least :math:`\sum_k \gamma^k (x_k^\top Q x_k + R u_k^2)` about upright.
-
-    Weights and discount are the learners'; the Riccati equation is that of :math:`\sqrt\gamma A, \sqrt\gamma B`.
-    """
+    r"""Return the gain ``(6,)`` of the LQR with the learners' weights and discount."""
     learner = LSPI(rig)
-    R = learner.force_weight
-    A, B = (np.sqrt(learner.gamma) * M for M in dpend.discretize(*dpend.linearize(rig.params), rig.sample_time))
-    P = solve_discrete_are(A, B, np.diag(learner.state_weights), np.array([[R]]))
-    return ((B.T @ P @ A) / (R + B.T @ P @ B))[0]
+    return LQR(rig, learner.state_weights, learner.force_weight, discount=learner.gamma).K[0]
 
 
 def jobs(options: Options) -> list[Job]:

@@ -20,6 +20,7 @@ from dpend.rig import Rig
 
 RNG = np.random.default_rng(0)
 PRESETS = tuple(dpend.rigs())
+DESIGNS: tuple[Any, ...] = ("discrete", "continuous")
 
 
 def sampled(rig: Rig) -> tuple[Array, Array]:
@@ -78,6 +79,29 @@ def test_no_other_gain_costs_less(seed: int) -> None:
         assert cost(lqr.K * (1 + 1e-3 * rng.standard_normal(6))) > best
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_with_a_discount_no_other_gain_costs_less_and_x_p_x_is_the_discounted_cost(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rig, gamma = endless(params=random_params(rng)), 0.99
+    lqr = LQR(rig, discount=gamma)
+    Ad, Bd = sampled(rig)
+    x0 = rng.standard_normal(6)
+
+    def cost(K: Array) -> float:
+        closed = np.sqrt(gamma) * (Ad - Bd @ K)
+        return float(x0 @ solve_discrete_lyapunov(closed.T, np.eye(6) + K.T @ K) @ x0)
+
+    best = cost(lqr.K)
+    assert_allclose(best, x0 @ lqr.P @ x0, rtol=1e-7)
+    for _ in range(5):
+        assert cost(lqr.K * (1 + 1e-3 * rng.standard_normal(6))) > best
+
+
+def test_a_discount_under_which_falling_is_the_cheapest_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"^There is no stabilising .* to rest, or raise the discount\.$"):
+        LQR("gustafsson2016", discount=0.9)
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_is_stable_under_its_default_regulator(name: str) -> None:
     rig = dpend.rig(name)
@@ -102,6 +126,9 @@ def test_the_continuous_gain_is_the_limit_of_the_discrete_one_for_short_samples(
     # a sum over samples is an integral divided by the sample time, so the weights are scaled alike and K stays
     gaps = [np.abs(LQR(rig.replace(sample_time=T)).K - continuous).max() for T in times]
     assert_allclose(np.polyfit(np.log(times), np.log(gaps), 1)[0], 1, atol=0.05)
+    discounted = [LQR(rig.replace(sample_time=1e-3), discount=0.9995, design=each).K for each in DESIGNS]
+    assert np.abs(discounted[0] - discounted[1]).max() < 1.5 * gaps[-1]
+    assert np.abs(discounted[0] - continuous).max() > 3 * gaps[-1]
     A, B = linearize(rig.params)
     assert np.linalg.eigvals(A - B @ continuous).real.max() < 0
 
@@ -151,6 +178,8 @@ def test_a_continuous_gain_too_high_for_the_sample_time_is_warned_of(name: str) 
             lambda rig: LQR(rig, design="analogue"),  # pyright: ignore[reportArgumentType]
             'design must be "discrete" or "continuous"; got \'analogue\'.',
         ),
+        (lambda rig: LQR(rig, discount=0.0), "discount must be above 0 and at most 1; got 0.0."),
+        (lambda rig: LQR(rig, discount=1.1), "discount must be above 0 and at most 1; got 1.1."),
         (
             lambda rig: LQR(rig.replace(mass1=[0.4, 0.5])),
             "LQR takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).",
@@ -165,7 +194,7 @@ def test_a_bad_description_is_refused_with_what_was_expected(call: Callable[[Rig
         call(endless())
 
 
-@pytest.mark.parametrize("design", ["discrete", "continuous"])
+@pytest.mark.parametrize("design", DESIGNS)
 @pytest.mark.parametrize("name", PRESETS)
 def test_weights_that_do_not_see_the_cart_are_refused(name: str, design: Any) -> None:
     for Q in (np.zeros(6), [0, 1, 1, 1, 1, 1]):
