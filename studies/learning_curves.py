@@ -27,6 +27,7 @@ from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 import dpend
 from dpend.params import Array
+from dpend.suggest import suggestion
 from rl import GaussianQAC, Learner, LinearQLearning
 from rl.deep import read_recipe
 from rl.training import task_name
@@ -95,6 +96,7 @@ class Options(_runner.Options):
 
     trainings: int = 10  # Seeds of each learner that is trained here.
     starts: int = 100  # Fresh starts of an evaluation at each λ.
+    only: tuple[str, ...] = ()  # Names of the learners that take part, or of recipes of deep ones; left out, all.
     deep: Path = RUNS
     """Folder of the deep trainings, such as ppo-swing-up.npz, or ppo-swing-up with a folder for each seed."""
 
@@ -102,6 +104,10 @@ class Options(_runner.Options):
         super().__post_init__()
         self.check_least(1, "trainings")
         self.check_least(2, "starts")
+        names = (*learners(), *DEEP["balance"], *DEEP["swing-up"])
+        for name in self.only:
+            if name not in names:
+                raise ValueError(f"--only {name}: no learner is called so.{suggestion(name, names)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,14 +127,20 @@ def jobs(options: Options) -> list[Job]:
     """List the work: one job for each learner and training, and one for each deep training that is there."""
     trainings, starts, points = (1, 4, 3) if options.quick else (options.trainings, options.starts, _POINTS)
     seconds = _QUICK if options.quick else math.inf
+
+    def asked(name: str) -> bool:
+        return not options.only or name in options.only
+
     work = [
         Job(learner=name, training=k, starts=starts, points=points, seconds=seconds, seed=options.seed)
-        for name in learners()
+        for name in filter(asked, learners())
         for k in range(trainings)
     ]
     there = kept(options.deep)
     few = slice(1 if options.quick else None)
-    deep = [(name, each) for names in DEEP.values() for name in names for each in there.get(name, [])[few]]
+    deep = [
+        (name, each) for names in DEEP.values() for name in filter(asked, names) for each in there.get(name, [])[few]
+    ]
     return work + [Job(learner=name, training=each.seed, kept=each) for name, each in deep]
 
 

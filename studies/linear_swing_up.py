@@ -33,7 +33,7 @@ from rl.linear_q import REPORT_FORCES
 
 from . import _runner
 from ._estimates import QUARTILES, share
-from ._figures import COLOURS, band, facets
+from ._figures import COLOURS, band, facets, legend_above
 from ._runner import Report, Result, Table
 from ._tables import sheet
 
@@ -365,8 +365,9 @@ def _overview(table: Table) -> Figure:
         title = f"best gains from {start}, 1 = upright, until the cart leaves the track"
         axis.set(xlabel="time (s)", ylabel="height of the tip", ylim=(-1.1, 1.1), title=title)
     for axis, columns in zip(figure.axes, (1, 2, 2, 2), strict=True):
-        if axis.get_legend_handles_labels()[0]:
-            axis.legend(ncols=columns)
+        title = axis.get_title("left")
+        axis.set_title("")
+        legend_above(axis, columns, title)
     return figure
 
 

@@ -39,7 +39,7 @@ from ._figures import Style, curves, facets, force_trace, forest, heat_map, lege
 from ._own import Own
 from ._runner import Report, Result, Table
 from ._step_times import StepTimes, undisturbed
-from ._tables import Sheet, sheet
+from ._tables import Cell, Sheet, sheet
 
 MINUTES = 8
 
@@ -279,7 +279,10 @@ def report(table: Table) -> Report:
     swings, conditions, horizons, failed = [], [], [], []
     for name, start in itertools.product(looks, STARTS):
         line, runs = {"controller": name, "from": start}, runs_of(table, name, start=start)
-        medians = {heading: _median(runs, metric) for heading, (metric, _) in _MEDIANS.items()}
+        medians: dict[str, Any] = {heading: _median(runs, metric) for heading, (metric, _) in _MEDIANS.items()}
+        if np.isfinite(middle := medians["time up, s"]):
+            low, high = np.nanquantile(runs["time_up"], (0.25, 0.75))
+            medians["time up, s"] = Cell(f"{middle:.2f}", f"{low:.2f} to {high:.2f}", middle)
         swings.append(line | {"up, %": up(runs)} | medians)
         conditions.append(line | _rates(table, name, start))
         wrong = {f"plant ±{100 * error:g} %": runs_of(table, name, start=start, plant_error=error) for error in ERRORS}
@@ -297,7 +300,11 @@ def report(table: Table) -> Report:
         presets.append({"preset": rig} | counted)
     forms = {heading: form for heading, (_, form) in _MEDIANS.items()}
     tables = [
-        sheet("Swing-up on the plant as it is believed to be; medians over the runs that succeed", swings, forms),
+        sheet(
+            "Swing-up on the plant as it is believed to be; medians over runs that succeed, of times up with quartiles",
+            swings,
+            forms,
+        ),
         sheet(f"Runs that are up for good within {HORIZON:g} s, %, under every condition", conditions, ".1%"),
         sheet("Runs that are up for good within a horizon, %, plants wrong by up to ±", horizons, ".1%"),
         sheet(f"Runs that fail: off the track, late (up after {HORIZON:g} s), never up", failed),
