@@ -364,7 +364,7 @@ def _overview(table: Table) -> Figure:
     for (axis,), start in zip(heights, STARTS, strict=True):
         title = f"best gains from {start}, 1 = upright, until the cart leaves the track"
         axis.set(xlabel="time (s)", ylabel="height of the tip", ylim=(-1.1, 1.1), title=title)
-    for axis, columns in zip(figure.axes, (1, 2, 2, 2), strict=True):
+    for axis, columns in zip(figure.axes, (3, 2, 2, 2), strict=True):
         title = axis.get_title("left")
         axis.set_title("")
         legend_above(axis, columns, title)

@@ -209,3 +209,11 @@ def test_scaled_features_learn_to_leave_the_track_at_full_force_in_place_of_the_
     cost = learner.task.cost(off.x[1:].copy(), np.zeros(22, dtype=np.uint8))
     assert_allclose(np.median((training.curve["reward"] / training.curve["length"])[-500:]), -cost.mean())
     assert not (training.curve["upright"] >= 50).any()
+
+
+def test_only_learners_that_are_named_take_part_and_others_names_are_refused():
+    jobs = learning_curves.jobs(learning_curves.Options(trainings=2, only=("LSPI", "ppo-balance")))
+    assert [job.learner for job in jobs[:2]] == ["LSPI", "LSPI"]
+    assert {job.learner for job in jobs} == {"LSPI", "ppo-balance"}
+    with pytest.raises(ValueError, match=r"^--only LSPY: no learner is called so\. Did you mean .*LSPI"):
+        learning_curves.Options(only=("LSPY",))

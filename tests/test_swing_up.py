@@ -143,3 +143,28 @@ def test_the_collector_leaves_alone_what_was_there_before_and_gets_it_back():
     with undisturbed():
         assert gc.get_freeze_count() > 1000
     assert gc.get_freeze_count() == 0
+
+
+def test_a_run_succeeds_within_a_horizon_if_its_links_were_up_for_good_a_second_before_and_failures_are_of_one_kind():
+    nan = np.nan
+    runs = {
+        "time_up": np.array([3.0, 9.0, 9.02, 21.0, nan, nan]),
+        "success": np.array([1, 1, 1, 1, 0, 0]),
+        "left": np.array([0, 0, 0, 0, 1, 0]),
+        "given": np.full(6, 30.0),
+    }
+    shares = [swing_up.up(runs, horizon).value for horizon in swing_up.HORIZONS]
+    assert shares == pytest.approx([1 / 6, 2 / 6, 3 / 6, 3 / 6, 4 / 6])
+    assert shares[-1] == swing_up.up(runs).value
+    assert swing_up.failures(runs) == "1, 2, 1 of 6"
+    short = swing_up.up(runs | {"given": np.full(6, 10.0)}, 15.0)
+    assert np.isnan(short.value)
+
+
+def test_one_long_run_says_what_a_short_one_of_the_same_start_says():
+    long = Job(contender="TVLQR", plant_error=0.15, seconds=30.0, runs=6, seed=0)
+    whole, part = (
+        swing_up.runs_of(table_of([job]), "TVLQR", start="hanging", plant_error=0.15)
+        for job in (long, replace(long, seconds=10.0))
+    )
+    assert 0 < swing_up.up(whole, 10.0).value <= swing_up.up(part).value < 1
