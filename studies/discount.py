@@ -122,7 +122,10 @@ def _draw(values: dict[tuple[str, float], dict[str, Estimate]], discounts: list[
     places = np.arange(len(discounts))
     for axis, name in zip(axes[0], ("λ50, rad", *CONDITIONS[1:]), strict=True):
         for aside, (law, style) in zip((-0.08, 0.08), STYLES.items(), strict=True):
-            intervals(axis, places + aside, [values[law, each][name] for each in discounts], style, label=law)
+            shown = [
+                Estimate(*np.clip(values[law, each][name], 0.0, 1.0).tolist()) for each in discounts
+            ]  # no infinity
+            intervals(axis, places + aside, shown, style, label=law)
         if name in CONDITIONS:
             share_axis(axis)
         axis.set_title(name)
