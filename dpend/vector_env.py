@@ -9,50 +9,23 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import numpy.typing as npt
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from .arguments import checked_name, checked_whole
-from .env import (
-    action_space,
-    check_options,
-    check_render_mode,
-    check_starts,
-    checked_forces,
-    checked_rewards,
-    frames_per_second,
-    noise_seed,
-    observation_space,
-    observer,
-    task_from,
-    with_length,
-)
-from .episode import UprightClock
+from .env import RigEnvironment, fresh_stepper, task_from
 from .kernels import compiled
 from .params import Array
-from .rewards import Reward, reward_of
+from .rewards import Reward
 from .rig import Rig, as_rig, single_rig
 from .shaping import Mixture, shaped_balance, shaped_swing_up
-from .state import as_states
-from .stepper import Stepper
 from .tasks import Balance, SwingUp, Task, checked_task
 
 Flags = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 
 _MOST_PICTURES = 64
-_OWN_KEYWORDS = (
-    "num_envs",
-    "rig",
-    "reward",
-    "forces",
-    "observation",
-    "autoreset_mode",
-    "render_mode",
-    "max_episode_steps",
-)
 
 
 @compiled
@@ -90,7 +63,9 @@ def _tally(codes, rewards, begun, length, steps, terminated, truncated, over):
     return count
 
 
-class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[Any]]):
+class CartDoublePendulumVectorEnv(  # pyright: ignore[reportIncompatibleVariableOverride]
+    RigEnvironment, gym.vector.VectorEnv[Array, Any, npt.NDArray[Any]]
+):
     """Copies of :class:`~dpend.env.CartDoublePendulumEnv`, stepped together.
 
     Observations ``(n, 6)`` or ``(n, 8)``, rewards ``(n,)`` and flags ``(n,)`` are those of single environments in
@@ -140,8 +115,6 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
-    _spec: EnvSpec | None = None
-
     def __init__(
         self,
         task: Task,
@@ -160,33 +133,21 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         if self.rig.n not in (None, num_envs):
             raise ValueError(f"The rig describes {self.rig.n} rows; expected num_envs, which is {num_envs}.")
         self.num_envs = num_envs
-        self._forces = checked_forces(forces, self.rig)
-        self.single_action_space = action_space(self._forces)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.single_observation_space = observation_space(observation)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self._observe = observer(observation, self.rig)
-        self._reward = reward_of(reward, self.task, self.rig)
-        check_render_mode(render_mode, self.metadata["render_modes"])
+        self.single_action_space, self.single_observation_space = self._set_up(
+            num_envs, reward, forces, observation, render_mode
+        )
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
         if render_mode is not None and num_envs > _MOST_PICTURES:
             raise ValueError(
                 f"Rendering draws every copy: expected at most {_MOST_PICTURES} with render_mode={render_mode!r}; "
                 f"got num_envs={num_envs}."
             )
-        self.render_mode = render_mode
         if not isinstance(autoreset_mode, AutoresetMode):
             checked_name("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self._mode = AutoresetMode(autoreset_mode)
-        self.metadata = self.metadata | {
-            "render_fps": frames_per_second(self.rig),
-            "autoreset_mode": self._mode,
-        }
-        self._one_rig_a_copy = self.rig.n is not None
-        self._length = np.iinfo(np.int64).max if self.task.steps is None else self.task.steps
-        self._upright = UprightClock(self.task, self.rig, num_envs)
-        self._stepper: Stepper | None = None
-        self._pictures: list[Any] = []
-        self._steps = np.zeros(self.num_envs, dtype=np.int64)
+        self.metadata = self.metadata | {"autoreset_mode": self._mode}
+        self._steps = np.zeros(num_envs, dtype=np.int64)
         self._force_limits = np.full(self.num_envs, self.rig.force_limit)
         self._over: Indices = np.empty(0, dtype=np.intp)
         self._over_ahead: Indices = np.empty(self.num_envs, dtype=np.intp)
@@ -199,36 +160,20 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         self._used = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
-        """Begin an episode in every copy, or in those of a mask.
+        """Begin an episode in every copy, or in those of a mask; return observations of all copies, and an empty dict.
 
-        Parameters
-        ----------
-        seed : int, optional
-            Restarts all random numbers; not together with a mask.
-        options : dict, optional
-            ``"x0"``: a state (6,), or one a copy (n, 6), to start at rather than where the task draws.
-            ``"reset_mask"``: a bool array (n,), at least one true; the other copies stay as they are.
-
-        Returns
-        -------
-        tuple
-            Observations of all copies, and an empty dict.
+        The class says what the options are; a seed does not go with a mask.
 
         Raises
         ------
         TypeError, ValueError
-            If an option is unknown or wrong, or an episode would end where it starts.
+            If an option is unknown or wrong, or an episode would end where it starts; all go on as they were.
         gymnasium.error.ResetNeeded
             If there is a mask, and copies that never began.
         """
-        check_options(options, ("x0", "reset_mask"))
-        options = options or {}
-        x0 = None
-        if "x0" in options:
-            x0 = as_states(options["x0"], self.num_envs)
-            check_starts(x0, self.task, self.rig)
+        x0 = self._start_asked_for(options, ("x0", "reset_mask"), self.num_envs)
         mask = np.ones(self.num_envs, dtype=np.bool_)
-        if "reset_mask" in options:
+        if options and "reset_mask" in options:
             mask = self._checked_mask(options["reset_mask"])
             if seed is not None:
                 raise ValueError(
@@ -238,7 +183,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
                 raise ResetNeeded("There are no episodes yet: call reset() without a reset_mask first.")
         super().reset(seed=seed)
         if self._stepper is None or seed is not None:
-            self._stepper = Stepper(self.rig, self.num_envs, noise_seed(self))
+            self._stepper = fresh_stepper(self, self.num_envs)
             self._ahead = self._ahead[:0]
         rows = np.flatnonzero(mask)
         y = self._begin(rows, None if x0 is None else x0[rows])
@@ -248,17 +193,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         return self._observe(self._seen.copy() if self._imperfect else self.state), {}
 
     def step(self, actions: Any) -> tuple[Array, npt.NDArray[np.float64], Flags, Flags, dict[str, Any]]:
-        """Hold a force for one sample in every copy.
-
-        Parameters
-        ----------
-        actions : array_like (n, 1) or (n,)
-            Shares of the force limit, or indices of forces.
-
-        Returns
-        -------
-        tuple
-            Observations, rewards, terminated, truncated, infos.
+        """Hold a force for one sample in every copy; return observations, rewards, terminated, truncated and infos.
 
         Raises
         ------
@@ -278,7 +213,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         before = stepper.x.copy()
         y = stepper.step(self._commands(actions))
         codes = self.task.ended(stepper.x, self.rig)
-        rewards = checked_rewards(self._reward(before, stepper.force, stepper.x, codes), self.num_envs).copy()
+        rewards = self._paid(before, stepper, codes).copy()
         self._upright.tick(stepper.x)
         begun = self._over  # none but with AutoresetMode.NEXT_STEP
         if len(begun):
@@ -301,18 +236,6 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         if self._imperfect:
             self._seen[:] = y
         return self._observe(y), rewards, terminated, truncated, infos
-
-    @property
-    def spec(self) -> EnvSpec | None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """What Gymnasium knows of the environments, their greatest length included."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:  # pyright: ignore[reportIncompatibleVariableOverride]
-        self._spec = with_length(spec, self.task)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_pictures": []}
 
     @property
     def state(self) -> Array:
@@ -351,7 +274,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
 
     def _starts(self, rows: Indices) -> Array:
         """Draw initial states; as many ahead as there are copies, since a few episodes end at every step."""
-        if self._one_rig_a_copy:
+        if self.rig.n is not None:
             return self.task.starts(self.np_random, self.num_envs, self.rig)[rows]
         self._used += len(rows)
         if self._used > len(self._ahead):
@@ -390,12 +313,7 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         return mask
 
     def render(self) -> tuple[npt.NDArray[np.uint8], ...] | None:
-        """Draw the true state of every copy and the force applied to it.
-
-        Returns
-        -------
-        tuple of ndarray (H, W, 3), or None
-            One picture a copy; None without a ``render_mode``.
+        """Return a picture ``(H, W, 3)`` of every copy's true state and the force applied; None without a render mode.
 
         Raises
         ------
@@ -410,10 +328,8 @@ class CartDoublePendulumVectorEnv(gym.vector.VectorEnv[Array, Any, npt.NDArray[A
         if not self._pictures:
             from .draw import Picture  # matplotlib loads with the first picture
 
-            if self._one_rig_a_copy:
-                self._pictures = [Picture(self.rig.rows(row)) for row in range(self.num_envs)]
-            else:
-                self._pictures = [Picture(self.rig)] * self.num_envs
+            one, n = self.rig.n is None, self.num_envs
+            self._pictures = [Picture(self.rig)] * n if one else [Picture(self.rig.rows(row)) for row in range(n)]
         states = zip(self._pictures, self._stepper.x, self._stepper.force, strict=True)
         return tuple(picture.rgb(x, float(force)) for picture, x, force in states)
 
@@ -429,46 +345,20 @@ def _described(array: npt.NDArray[Any]) -> str:
 
 
 def _maker(kind: type[Balance] | type[SwingUp]) -> Callable[..., CartDoublePendulumVectorEnv]:
-    """Return the entry point that makes copies of one task's environment."""
+    """Return the entry point that makes copies of one task's environment from its parameters and the environment's own.
+
+    ``max_episode_steps`` is what Gymnasium calls the task's ``steps``.
+    """
 
     def make(
-        num_envs: int = 1,
-        rig: Rig | str = "gustafsson2016",
-        *,
-        reward: str | Reward = "default",
-        forces: npt.ArrayLike | None = None,
-        observation: str = "raw",
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        render_mode: str | None = None,
-        max_episode_steps: int | None = None,
-        **task: Any,
+        num_envs: int = 1, rig: Rig | str = "gustafsson2016", *, max_episode_steps: int | None = None, **options: Any
     ) -> CartDoublePendulumVectorEnv:
-        """Make the copies: the task's own parameters, and those of :class:`CartDoublePendulumVectorEnv`.
-
-        ``max_episode_steps`` is what Gymnasium calls the task's ``steps``.
-
-        Raises
-        ------
-        TypeError
-            If a parameter is unknown; the message suggests the nearest.
-        ValueError
-            If a value is out of its range, two lengths differ, or weights of the report's cost are set and another
-            reward is paid.
-        """
-        if max_episode_steps is not None and task.setdefault("steps", max_episode_steps) != max_episode_steps:
+        if max_episode_steps is not None and options.setdefault("steps", max_episode_steps) != max_episode_steps:
             raise ValueError(
-                f"max_episode_steps and steps are one number; got {max_episode_steps!r} and {task['steps']!r}."
+                f"max_episode_steps and steps are one number; got {max_episode_steps!r} and {options['steps']!r}."
             )
-        return CartDoublePendulumVectorEnv(
-            task_from(kind, task, _OWN_KEYWORDS, reward),
-            rig,
-            num_envs,
-            reward=reward,
-            forces=forces,
-            observation=observation,
-            autoreset_mode=autoreset_mode,
-            render_mode=render_mode,
-        )
+        task = task_from(kind, CartDoublePendulumVectorEnv, options, "max_episode_steps")
+        return CartDoublePendulumVectorEnv(task, rig, num_envs, **options)
 
     return make
 
@@ -484,25 +374,11 @@ def _shaped_maker(setup: Callable[[Rig], tuple[Mixture, Rig]]) -> Callable[..., 
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
     ) -> CartDoublePendulumVectorEnv:
-        """Make the copies.
-
-        Raises
-        ------
-        ValueError
-            If the rig describes several plants or has no force limit.
-        """
         task, slow = setup(single_rig(rig, "A shaped environment"))
         if max_episode_steps is not None:
             task = replace(task, steps=checked_whole("max_episode_steps", max_episode_steps))
-        return CartDoublePendulumVectorEnv(
-            task,
-            slow,
-            num_envs,
-            reward="shaped",
-            observation="scaled",
-            autoreset_mode=autoreset_mode,
-            render_mode=render_mode,
-        )
+        modes: dict[str, Any] = {"autoreset_mode": autoreset_mode, "render_mode": render_mode}
+        return CartDoublePendulumVectorEnv(task, slow, num_envs, reward="shaped", observation="scaled", **modes)
 
     return make
 

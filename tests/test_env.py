@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import combinations
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
@@ -14,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 from numpy.testing import assert_allclose, assert_array_equal
 from rigs import endless, whole
 
-import dpend
+import dpend.env
 from dpend import Act, Balance, Rig, Status, SwingUp
 from dpend.draw import Picture
 from dpend.env import CartDoublePendulumEnv, balance, swing_up
@@ -378,6 +379,28 @@ def test_a_window_shows_every_state_as_it_comes_and_is_closed_with_the_environme
     env.close()
     assert shown[-1] == "closed"
     assert shown.count("closed") == 1
+
+
+def test_a_window_keeps_real_time_and_does_not_make_up_for_what_was_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, shown, drawing = 100.0, [], iter([0.0, 0.005, 0.012, 0.35, 0.0, 0.0, 0.001])
+
+    def sleep(seconds: float) -> None:
+        nonlocal now
+        assert seconds >= 0
+        now += seconds
+
+    def show(*_: Any) -> None:
+        shown.append(now)
+        sleep(next(drawing))
+
+    monkeypatch.setattr(dpend.env, "time", SimpleNamespace(monotonic=lambda: now, sleep=sleep))
+    monkeypatch.setattr(Picture, "show", show)
+    env = swing_up(RIG.replace(sample_time=0.1), render_mode="human")
+    env.reset(seed=0)
+    for _ in range(6):
+        env.step(np.zeros(1))
+    # The fourth takes 0.35 s: the fifth follows at once, and the clock goes on from there.
+    assert_allclose(shown, 100.0 + np.array([0.0, 0.1, 0.2, 0.3, 0.65, 0.75, 0.85]), rtol=0, atol=1e-9)
 
 
 def test_a_window_does_not_stop_an_episode_whose_state_cannot_be_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
