@@ -27,7 +27,9 @@ class Controller(Protocol):
     """A description of a control law, the same before, during and after every run.
 
     A class with this one method is a controller; nothing need be inherited or registered.  A law that can treat only
-    one run at a time says so with a class attribute ``batched = False`` and is then started once for each row.
+    one run at a time says so with a class attribute ``batched = False`` and is then started once for each row.  It is
+    still given rows, ``(1, 6)``, the state being ``y[0]``: all laws are called alike, so that wrappers, estimators and
+    switches serve each.  Only a plain function is given a state ``(6,)``.
     """
 
     def start(self, n: int, rng: np.random.Generator) -> Act:

@@ -68,8 +68,8 @@ _STEPS = [1, 2, 5, 10]  # between the marks of an axis
 _WEIGHT = 9.81  # N/kg: what the arrow is measured by where the force has no limit
 
 _NO_WINDOW = (
-    "matplotlib cannot open a window here with its backend {!r}. Where there is a display, install a window toolkit "
-    '(python -m pip install PyQt6); where there is none, use render_mode="rgb_array" or Run.animate.'
+    "matplotlib cannot open a window here with its backend {!r}. Where there is a display, install the extra `gui` "
+    "(python -m pip install 'dpend[gui]'); where there is none, use render_mode=\"rgb_array\" or Run.animate."
 )
 
 
@@ -302,7 +302,11 @@ class Plot(Figure):
             _open_window(pixels)
         except RuntimeError:
             if warn:
-                warnings.warn("There is no window to show the figure in; figure.savefig(path) writes it.", stacklevel=2)
+                warnings.warn(
+                    "There is no window to show the figure in: figure.savefig(path) writes it. With a display,"
+                    " install the extra `gui` (python -m pip install 'dpend[gui]').",
+                    stacklevel=2,
+                )
             return
         from matplotlib import pyplot
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -24,28 +24,85 @@ if TYPE_CHECKING:
 
 Layout = dict[str, tuple[tuple[int, ...], type]]
 
-
-_RUN, _RUNS = "dpend run 1", "dpend runs 1"
-_LOG = "log "
-
-
-def _marked(log: Mapping[str, Array]) -> dict[str, npt.NDArray[Any]]:
-    """Return a log under names that nothing else in the file has."""
-    return {_LOG + name: told for name, told in log.items()}
-
-
-def _unmarked(arrays: dict[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
-    """Take the log out of a file's arrays."""
-    return {name.removeprefix(_LOG): arrays.pop(name) for name in list(arrays) if name.startswith(_LOG)}
-
-
-def _check_arrays(arrays: dict[str, npt.NDArray[Any]], layout: Layout) -> None:
-    if {name: (array.shape, array.dtype) for name, array in arrays.items()} != layout:
-        raise ValueError("its arrays have other names, shapes or types")
+_LOG = "log "  # before the names of a log in a file, which nothing else there has
+_NO_STATES = "These runs hold no states; simulate them with record=True."
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Run:
+class _Record:
+    """What one run and many have in common, and the file that keeps either: plain arrays, so that none can run code."""
+
+    _FORMAT: ClassVar[str]
+    _OPTIONAL: ClassVar[tuple[str, ...]] = ()
+    t: Array
+    u: Array
+    step_time: Array
+    rig: Rig
+    controller: str
+    task: str
+    seed: int
+    log: Mapping[str, Array] = field(default_factory=dict)
+
+    def save(self, path: str | Path) -> Path:
+        """Write a compressed ``.npz`` and return its path; ``.npz`` is added where the name has no suffix."""
+        layout = self._layout(*self.u.shape)
+        about = {each.name: getattr(self, each.name) for each in fields(self) if each.name not in {"log", *layout}}
+        about |= {"rig": self.rig.to_dict()} | ({"status": about["status"].name} if "status" in about else {})
+        arrays = {name: vars(self)[name] for name in layout if vars(self)[name] is not None}
+        return archive.write(path, self._FORMAT, about, arrays | {_LOG + name: each for name, each in self.log.items()})
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        OSError
+            If the file is not there or cannot be read.
+        ValueError
+            If it is something else, or is damaged.
+        """
+        with archive.opened(path, cls._FORMAT) as (about, arrays):
+            forms = {name: (array.shape, array.dtype) for name, array in arrays.items()}
+            log = {name.removeprefix(_LOG): arrays.pop(name) for name in forms if name.startswith(_LOG)}
+            layout = cls._layout(*arrays["u"].shape)
+            expected = {name: form for name, form in layout.items() if name in arrays or name not in cls._OPTIONAL}
+            if forms != expected | {_LOG + name: layout["u"] for name in log}:
+                raise ValueError("its arrays have other names, shapes or types")
+            about |= {"rig": Rig.from_dict(about["rig"])} | (
+                {"status": Status[about["status"]]} if "status" in about else {}
+            )
+            return cls(**arrays, **about, log=log)
+
+    @classmethod
+    def _layout(cls, *shape: int) -> Layout:
+        """Return shape and type of each array, by those of the forces."""
+        *n, samples = shape
+        states = (*n, samples + 1, 6)
+        shapes = {"t": (samples + 1,), "x": states, "y": states, "u": shape, "step_time": shape}
+        return {name: (each, np.float64) for name, each in shapes.items()}
+
+
+class _States:
+    """Field of states ``(N, T + 1, 6)``, which says what to do where they were not recorded."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, runs: object, owner: type) -> Array:
+        if runs is None:
+            return cast(Array, None)  # the field's default
+        states = vars(runs)[self._name]
+        if states is None:
+            raise AttributeError(_NO_STATES)
+        return states
+
+    def __set__(self, runs: object, states: Array | None) -> None:
+        vars(runs)[self._name] = states
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run(_Record):
     """One run, cut at its end; ``T`` samples.
 
     Attributes
@@ -74,20 +131,13 @@ class Run:
         What its disturbances were drawn from.
     """
 
-    t: Array
+    _FORMAT = "dpend run 1"
     x: Array
     y: Array
-    u: Array
-    step_time: Array
     status: Status
     success: bool
     time_up: float
-    rig: Rig
-    controller: str
-    task: str
-    seed: int
     row: int = 0
-    log: Mapping[str, Array] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<run of {self.controller}, {self.t[-1]:g} s: {self.status.value}>"
@@ -185,27 +235,6 @@ class Run:
         from .draw import animate_run
 
         return animate_run(self, path, fps=fps, speed=speed)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the run as a compressed ``.npz`` of plain arrays; nothing in it can run code.
-
-        Returns
-        -------
-        Path
-            The file; ``.npz`` is added where the name has no suffix.
-        """
-        about = {
-            "status": self.status.name,
-            "success": self.success,
-            "time_up": self.time_up,
-            "rig": self.rig.to_dict(),
-            "controller": self.controller,
-            "task": self.task,
-            "seed": self.seed,
-            "row": self.row,
-        }
-        arrays = {name: getattr(self, name) for name in ("t", "x", "y", "u", "step_time")} | _marked(self.log)
-        return archive.write(path, _RUN, about, arrays)
 
     @classmethod
     def from_csv(
@@ -313,30 +342,9 @@ class Run:
             seed=0,
         )
 
-    @classmethod
-    def load(cls, path: str | Path) -> Run:
-        """Read what :meth:`save` wrote.
-
-        Raises
-        ------
-        OSError
-            If the file is not there or cannot be read.
-        ValueError
-            If it is not a saved run, or is damaged.
-        """
-        with archive.opened(path, _RUN) as (about, arrays):
-            log = _unmarked(arrays)
-            steps = arrays["u"].size
-            shapes = {"t": (steps + 1,), "x": (steps + 1, 6), "y": (steps + 1, 6), "u": (steps,), "step_time": (steps,)}
-            _check_arrays(arrays, {name: (shape, np.float64) for name, shape in shapes.items()})
-            _check_arrays(log, dict.fromkeys(log, ((steps,), np.float64)))
-            about["status"] = Status[about["status"]]
-            about["rig"] = Rig.from_dict(about["rig"])
-            return cls(**arrays, **about, log=log)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Runs:
+class Runs(_Record):
     """``N`` runs side by side; NaN after the end of each.
 
     Attributes
@@ -362,8 +370,8 @@ class Runs:
         among all rows, and counts on until the last of its batch has ended.
     log : mapping of str to ndarray (N, T)
         What the controller logged of each of its steps, such as a solver's iterations.
-    x, y : ndarray (N, T + 1, 6), optional
-        True and measured states, where they were recorded.
+    x, y : ndarray (N, T + 1, 6)
+        True and measured states, where they were recorded; AttributeError elsewhere.
     rig : Rig
         The true rig or rigs.
     controller, task : str
@@ -372,23 +380,17 @@ class Runs:
         What the disturbances were drawn from.
     """
 
-    t: Array
-    u: Array
+    _FORMAT = "dpend runs 1"
+    _OPTIONAL = ("x", "y")
     steps: npt.NDArray[np.int64]
     codes: npt.NDArray[np.uint8]
     success: npt.NDArray[np.bool_]
     final: Array
     travel: Array
     time_up: Array
-    step_time: Array
-    rig: Rig
-    controller: str
-    task: str
-    seed: int
     first_row: int = 0
-    x: Array | None = None
-    y: Array | None = None
-    log: Mapping[str, Array] = field(default_factory=dict)
+    x: _States = _States()
+    y: _States = _States()
 
     def __len__(self) -> int:
         return len(self.u)
@@ -444,8 +446,8 @@ class Runs:
             raise TypeError(
                 f"A run is taken out by a whole number, several by a slice: runs[0], runs[1:3]; got {row!r}."
             )
-        if self.x is None or self.y is None:
-            raise ValueError("These runs hold no states; simulate them with record=True.")
+        if not hasattr(self, "x"):
+            raise ValueError(_NO_STATES)
         row = range(len(self))[row]
         steps = int(self.steps[row])
         return Run(
@@ -472,7 +474,7 @@ class Runs:
                 "Take others one by one: [runs[i] for i in ...]."
             )
         cut = slice(rows.start, rows.stop)
-        arrays = {name: getattr(self, name) for name in self._layout(1, 1) if name != "t"}
+        arrays = {name: vars(self)[name] for name in self._layout(1, 1) if name != "t"}
         return replace(
             self,
             rig=self.rig.rows(cut),
@@ -481,59 +483,16 @@ class Runs:
             **{name: None if array is None else array[cut] for name, array in arrays.items()},
         )
 
-    def save(self, path: str | Path) -> Path:
-        """Write the runs as a compressed ``.npz`` of plain arrays; nothing in it can run code.
-
-        Returns
-        -------
-        Path
-            The file; ``.npz`` is added where the name has no suffix.
-        """
-        about = {
-            "rig": self.rig.to_dict(),
-            "controller": self.controller,
-            "task": self.task,
-            "seed": self.seed,
-            "first_row": self.first_row,
-        }
-        arrays = {name: getattr(self, name) for name in self._layout(len(self), self.u.shape[1])}
-        kept = {k: array for k, array in arrays.items() if array is not None} | _marked(self.log)
-        return archive.write(path, _RUNS, about, kept)
-
     @classmethod
-    def load(cls, path: str | Path) -> Runs:
-        """Read what :meth:`save` wrote.
-
-        Raises
-        ------
-        OSError
-            If the file is not there or cannot be read.
-        ValueError
-            If it does not hold saved runs, or is damaged.
-        """
-        with archive.opened(path, _RUNS) as (about, arrays):
-            log = _unmarked(arrays)
-            layout = cls._layout(*arrays["u"].shape)
-            _check_arrays(arrays, {k: form for k, form in layout.items() if k in arrays or k not in ("x", "y")})
-            _check_arrays(log, dict.fromkeys(log, (arrays["u"].shape, np.float64)))
-            about["rig"] = Rig.from_dict(about["rig"])
-            return cls(**arrays, **about, log=log)
-
-    @staticmethod
-    def _layout(n: int, samples: int) -> Layout:
-        """Shape and type of each array."""
-        return {
-            "t": ((samples + 1,), np.float64),
-            "u": ((n, samples), np.float64),
-            "steps": ((n,), np.int64),
-            "codes": ((n,), np.uint8),
-            "success": ((n,), np.bool_),
-            "final": ((n, 6), np.float64),
-            "travel": ((n,), np.float64),
-            "time_up": ((n,), np.float64),
-            "step_time": ((n, samples), np.float64),
-            "x": ((n, samples + 1, 6), np.float64),
-            "y": ((n, samples + 1, 6), np.float64),
+    def _layout(cls, *shape: int) -> Layout:
+        n = shape[:1]
+        return super()._layout(*shape) | {
+            "steps": (n, np.int64),
+            "codes": (n, np.uint8),
+            "success": (n, np.bool_),
+            "final": ((*n, 6), np.float64),
+            "travel": (n, np.float64),
+            "time_up": (n, np.float64),
         }
 
     def __repr__(self) -> str:
@@ -543,13 +502,10 @@ class Runs:
     @classmethod
     def join(cls, parts: list[Runs], rig: Rig) -> Runs:
         """Return the parts of a batch joined, in their order."""
-        stacked: dict[str, Any] = {
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("u", "steps", "codes", "success", "final", "travel", "time_up", "step_time")
-        }
-        for name in ("x", "y"):
-            if getattr(parts[0], name) is not None:
-                stacked[name] = np.concatenate([getattr(part, name) for part in parts])
+        stacked: dict[str, Any] = {}
+        for name in cls._layout(1, 1).keys() - {"t"}:
+            arrays = [vars(part)[name] for part in parts]
+            stacked[name] = None if arrays[0] is None else np.concatenate(arrays)
         names = dict.fromkeys(name for part in parts for name in part.log)
         log = {
             name: np.concatenate([part.log.get(name, np.full(part.u.shape, np.nan)) for part in parts])

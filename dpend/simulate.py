@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .arguments import checked_seed, checked_whole, is_finite
-from .controller import Act, Controller, Law, LawError, as_controller, is_batched, name_of
+from .controller import Act, Controller, FunctionController, Law, LawError, as_controller, is_batched, name_of
 from .episode import UprightClock
 from .params import Array
 from .plant import PUSHES
@@ -334,10 +334,12 @@ def _simulate_block(
     if cause is None:
         return runs
     rows = f"row {first}" if n == 1 else f"rows {first} to {first + n - 1}"
-    reason = str(cause) if type(cause) is ValueError else f"{type(cause).__name__}: {cause}"
+    reason = (str(cause) if type(cause) is ValueError else f"{type(cause).__name__}: {cause}").rstrip(".")
+    if k == 0 and whose != "The push" and isinstance(cause, ValueError | IndexError | TypeError):
+        alone = not is_batched(controller) and not isinstance(controller, FunctionController)
+        reason += ", with measurements of one row, (1, 6), whose state is y[0]" if alone else ""
     raise LawError(
-        f"{whose} failed at t = {t[k]:g} s in {rows}: {reason.rstrip('.')}. The runs up to there are kept in the "
-        "error's `runs`.",
+        f"{whose} failed at t = {t[k]:g} s in {rows}: {reason}. The runs up to there are kept in the error's `runs`.",
         runs,
     ) from cause
 

@@ -178,6 +178,26 @@ def test_a_law_that_fails_in_one_row_leaves_the_rows_before_it_whole() -> None:
     assert_array_equal(runs[0].x, simulate_many(RIG, by_hand, STARTS, 0.2, record=True)[0].x)
 
 
+def test_a_law_of_one_run_at_a_time_is_given_a_row_and_told_so_where_it_takes_it_for_a_state() -> None:
+    class OneAtATime:
+        batched = False
+
+        def __init__(self, law: Act) -> None:
+            self.law = law
+
+        def start(self, n: int, rng: np.random.Generator) -> Act:
+            return self.law
+
+    message = (
+        "OneAtATime failed at t = 0 s in row 0: IndexError: index 1 is out of bounds for axis 0 with size 1, with "
+        "measurements of one row, (1, 6), whose state is y[0]. The runs up to there are kept in the error's `runs`."
+    )
+    with pytest.raises(LawError, match=whole(message)):
+        simulate(RIG, OneAtATime(lambda t, y: 10 * y[1]), STARTS[0], 0.2)
+    row = simulate(RIG, OneAtATime(lambda t, y: np.array([by_hand(t, y[0])])), STARTS[0], 0.2)
+    assert_array_equal(row.x, simulate(RIG, by_hand, STARTS[0], 0.2).x)
+
+
 def test_a_push_that_fails_on_the_way_is_named_as_such() -> None:
     message = (
         "The push failed at t = 0.04 s in row 0: A push is a force on the cart in N and torques on link 1 and link 2 "

@@ -289,8 +289,9 @@ def test_a_window_opens_follows_and_closes(pyplot: Any) -> None:
 
 def test_without_a_display_the_error_names_the_remedy(pyplot: Any) -> None:
     message = (
-        "matplotlib cannot open a window here with its backend 'agg'. Where there is a display, install a window "
-        'toolkit (python -m pip install PyQt6); where there is none, use render_mode="rgb_array" or Run.animate.'
+        "matplotlib cannot open a window here with its backend 'agg'. Where there is a display, install the "
+        "extra `gui` (python -m pip install 'dpend[gui]'); where there is none, use render_mode=\"rgb_array\" or "
+        "Run.animate."
     )
     with pytest.raises(RuntimeError, match=whole(message)):
         Picture(RIG).show(STATE)
@@ -378,9 +379,11 @@ def test_show_opens_a_window_and_closes_with_it(pyplot: Any, run: Run) -> None:
 
 
 def test_show_without_a_window_says_how_to_keep_the_figure(pyplot: Any, run: Run) -> None:
-    with pytest.warns(
-        UserWarning, match=whole("There is no window to show the figure in; figure.savefig(path) writes it.")
-    ):
+    message = (
+        "There is no window to show the figure in: figure.savefig(path) writes it. With a display,"
+        " install the extra `gui` (python -m pip install 'dpend[gui]')."
+    )
+    with pytest.warns(UserWarning, match=whole(message)):
         run.show()
     run.plot().show(warn=False)
     assert pyplot.get_fignums() == []

@@ -224,7 +224,6 @@ def test_prediction_is_exact_on_a_rig_that_is_only_late(delays: dict[str, Any]) 
     late = delays.get("actuator_delay", 0)
     x0 = np.array([[0.1, 0.1, -0.05, 0, 0, 0], [0, 0.05, 0.1, 0.2, 0, -0.1]])
     mine = dpend.simulate_many(rig, WithEstimator(Predictor(rig), LQR(rig)), x0, 2.0, record=True)
-    assert mine.x is not None
     theirs = dpend.simulate_many(prompt, LQR(rig), mine.x[:, late], 2.0)
     assert (mine.u[:, :late] == 0).all()
     assert_allclose(mine.u[:, late:], theirs.u[:, : 100 - late], rtol=0, atol=1e-9)

@@ -39,7 +39,6 @@ def test_a_roll_out_counts_as_the_simulation_does(law):
     assert (up == runs.success).all()
     assert up.any()
     assert not up.all()
-    assert runs.x is not None
     held = np.array([task.upright(x[: n + 1]).sum() for x, n in zip(runs.x, runs.steps, strict=True)])
     assert (longest <= 0.02 * held + 1e-9).all()
     assert (scores[up] > np.delete(scores, np.flatnonzero(up)).max(initial=0.0)).all()

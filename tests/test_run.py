@@ -249,8 +249,6 @@ def test_rows_simulated_apart_and_joined_are_the_batch() -> None:
 
 def test_a_batch_is_nan_after_a_run_has_ended_and_never_before() -> None:
     runs = dpend.simulate_many(RIG, Feedback(), STARTS, 3.0, record=True)
-    assert runs.x is not None
-    assert runs.y is not None
     samples = np.arange(len(runs.t))
     lived = samples <= runs.steps[:, None]
     np.testing.assert_array_equal(np.isfinite(runs.u), lived[:, 1:])
@@ -405,7 +403,7 @@ def test_saved_runs_come_back_exactly(tmp_path, record):
     assert back.rig == runs.rig
     for name in ("t", "u", "steps", "codes", "success", "final", "travel", "time_up", "step_time"):
         np.testing.assert_array_equal(getattr(back, name), getattr(runs, name))
-    assert (back.x is None) == (not record)
+    assert hasattr(back, "x") == record
     if record:
         np.testing.assert_array_equal(back.x, runs.x)
         np.testing.assert_array_equal(back[1].y, runs[1].y)
@@ -438,7 +436,6 @@ def test_what_a_law_tells_of_its_steps_is_kept_with_the_run(tmp_path: Path) -> N
     starts = np.zeros((3, 6))
     starts[:, 1] = [0.1, 0.6, 1.4]  # falling sooner and sooner
     runs = dpend.simulate_many(RIG, Telling(), starts, 1.0, record=True)
-    assert runs.x is not None
     assert len(set(runs.steps)) == 3
     for row, run in enumerate(runs):
         steps = runs.steps[row]
