@@ -99,10 +99,6 @@ class NLPSolver:
             what is not finite for ever, and cannot be ended: what is left of it goes on in its thread.
         **arguments : array_like
             As ``casadi.nlpsol`` takes them.
-
-        Returns
-        -------
-        Solution
         """
         if self._solve is None:
             stop = _Stop(self._sizes)
@@ -212,10 +208,6 @@ def nlp_solver(
         The problem's functions, named as ``casadi.nlpsol`` asks for them with fatrop (``nlp``, ``nlp_f``, ``nlp_g``,
         ``nlp_grad``, ``nlp_grad_f``, ``nlp_jac_g``, ``nlp_hess_l``), where they are known in a better form; left out,
         CasADi derives them.
-
-    Returns
-    -------
-    NLPSolver
 
     Raises
     ------

@@ -206,14 +206,9 @@ class _Filter:
         return follow
 
     def follow_closely(self, n: int) -> tuple[Follow, Callable[[], tuple[Array, Array]]]:
-        """Return the estimator for ``n`` runs, and a function that returns its belief of the moment last measured.
+        """Return the estimator for ``n`` runs, and ``belief()`` of the moment last measured.
 
-        Returns
-        -------
-        follow : callable
-            The estimator.
-        belief : callable
-            ``belief()`` returns the means ``(n, 6)`` and covariances ``(n, 6, 6)``.
+        That returns means ``(n, 6)`` and covariances ``(n, 6, 6)``.
         """
         rig = self.rig
         under_way = _UnderWay(rig, n)

@@ -11,17 +11,9 @@ from __future__ import annotations
 
 
 def make_residuals(sin):
-    """Build the residuals.
+    """Build ``residuals(x, target)``: six numbers, given a state and a target at rest that unpack to six.
 
-    Parameters
-    ----------
-    sin : callable
-        Sine for the kind of number the result is to take.
-
-    Returns
-    -------
-    callable
-        ``residuals(x, target)``: six numbers, given a state and a target at rest that unpack to six.
+    ``sin`` is the sine for the kind of number the result is to take.
     """
 
     def residuals(x, target):

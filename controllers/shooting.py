@@ -94,19 +94,9 @@ class Program:
 
 
 def multiple_shooting(stage: Stage, horizon: int) -> Program:
-    """Return the nonlinear program of ``horizon`` equal stages.
+    """Return the nonlinear program of :math:`N` = ``horizon`` equal stages, at least 2.
 
-    Parameters
-    ----------
-    stage : Stage
-        One of them.
-    horizon : int
-        :math:`N`, at least 2.
-
-    Returns
-    -------
-    Program
-        Its parameters are those of all stages, ``(p0, ..., pN)``.
+    Its parameters are those of all stages, ``(p0, ..., pN)``.
     """
     x, u, p = stage.x, stage.u, stage.p
     nx, nu, npar, N = x.numel(), u.numel(), p.numel(), horizon

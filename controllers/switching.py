@@ -80,10 +80,6 @@ class Ellipsoid:
         lqr : LQR
             The law, with the rig whose limits count.
 
-        Returns
-        -------
-        Ellipsoid
-
         Raises
         ------
         ValueError
@@ -114,10 +110,6 @@ class Ellipsoid:
             What they are drawn from.
         duration : float, optional
             Seconds until it is at rest; see :class:`RolloutRegion`.
-
-        Returns
-        -------
-        Ellipsoid
 
         Raises
         ------

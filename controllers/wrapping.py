@@ -65,17 +65,6 @@ def holding(n: int, law: Act) -> Act:
 
     A row has no force before its first finite measurement.  From the first that is missing on, the log holds under
     ``held``, call by call, in which rows an older measurement counted.
-
-    Parameters
-    ----------
-    n : int
-        Number of runs.
-    law : callable
-        The law, which sees finite numbers only.
-
-    Returns
-    -------
-    callable
     """
     last, seen = np.zeros((n, 6)), np.zeros(n, dtype=np.bool_)
     log, missing_in = watch(n)

@@ -31,15 +31,7 @@ _RESERVED = ("header", "checksum", "about", "format")
 def atomic(path: str | Path) -> Iterator[Path]:
     """Return the path of a temporary file that takes the place of ``path`` at the end, or vanishes on an error.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file; its folder must exist.  Devices and pipes are written directly.
-
-    Returns
-    -------
-    context manager
-        Of a path beside the file and with its suffix, to be written within the block.
+    It lies beside the file, whose folder must exist, and has its suffix; devices and pipes are written directly.
 
     Raises
     ------
@@ -63,7 +55,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 
 def write(path: str | Path, kind: str, header: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Path:
-    """Write arrays and a header as an archive, to the end or not at all.
+    """Write arrays and a header as an archive, to the end or not at all, and return its path.
 
     Parameters
     ----------
@@ -76,19 +68,12 @@ def write(path: str | Path, kind: str, header: Mapping[str, Any], arrays: Mappin
     arrays : mapping of str to ndarray
         None of objects.
 
-    Returns
-    -------
-    Path
-        The file.
-
     Raises
     ------
     OSError
         If it cannot be written.
-    TypeError
-        If an array holds Python objects.
-    ValueError
-        If an array has a name that the archive itself needs.
+    TypeError, ValueError
+        If an array holds Python objects, or has a name that the archive itself needs.
     """
     path = Path(path)
     if not path.suffix:
@@ -105,22 +90,7 @@ def write(path: str | Path, kind: str, header: Mapping[str, Any], arrays: Mappin
 
 
 def read(path: str | Path, kind: str) -> tuple[dict[str, Any], Arrays]:
-    """Return the header, without its format, and the arrays of an archive.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    kind : str
-        What it must be, as it was given to :func:`write`.
-
-    Raises
-    ------
-    OSError
-        If the file is not there or cannot be opened.
-    ValueError
-        If it is something else, of another kind, or damaged.
-    """
+    """Return the header, without its format, and the arrays of an archive of some kind; see :func:`opened`."""
     with opened(path, kind) as content:
         return content
 

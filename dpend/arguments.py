@@ -19,13 +19,7 @@ def is_finite(value: object) -> TypeGuard[float]:
 
 
 def checked_positive(name: str, value: object, unit: str = "") -> float:
-    """Return a finite number above zero as a float.
-
-    Raises
-    ------
-    ValueError
-        If it is something else; the message names it, with its unit.
-    """
+    """Return a finite number above zero as a float; refuse anything else by a ValueError with its name and unit."""
     if not (is_finite(value) and value > 0):
         raise ValueError(f"{name} must be finite and greater than 0{unit and ' ' + unit}; got {value!r}.")
     return float(value)
@@ -34,19 +28,7 @@ def checked_positive(name: str, value: object, unit: str = "") -> float:
 def checked_whole(name: str, value: object, least: int = 1) -> int:
     """Return a whole number, Python's or numpy's, as an integer.
 
-    Parameters
-    ----------
-    name : str
-        What the caller calls it.
-    value : int
-        What came.
-    least : int
-        The least that makes sense.
-
-    Raises
-    ------
-    ValueError
-        If it is something else, or less, or has more than 31 bits.
+    Anything else, less than ``least`` or of more than 31 bits is refused by a ValueError with its name.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise ValueError(f"{name} must be a whole number, at least {least}; got {value!r}.")
@@ -56,26 +38,14 @@ def checked_whole(name: str, value: object, least: int = 1) -> int:
 
 
 def checked_seed(name: str, value: object) -> int:
-    """Return a seed, or the number of a row, as an integer.
-
-    Raises
-    ------
-    ValueError
-        If it is not a whole number, at least zero.
-    """
+    """Return a seed, or the number of a row, as an integer; refuse what is no whole number, at least zero."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
         raise ValueError(f"{name} must be a whole number, at least 0; got {value!r}.")
     return int(value)
 
 
 def checked_name(name: str, value: object, known: Iterable[str]) -> str:
-    """Return a name, if it is one of a few.
-
-    Raises
-    ------
-    ValueError
-        If it is something else; the message lists them.
-    """
+    """Return a name, if it is one of a few; refuse anything else by a ValueError that lists them."""
     names = list(known)
     if not (isinstance(value, str) and value in names):
         listed = ", ".join(f'"{each}"' for each in names[:-1])
@@ -86,25 +56,18 @@ def checked_name(name: str, value: object, known: Iterable[str]) -> str:
 def checked_array(
     name: str, value: object, what: str, *, finite: bool = True, complex_too: bool = False
 ) -> npt.NDArray[Any]:
-    """Return numbers as a float64 array, or a complex one where these are welcome and came.
+    """Return numbers as a float64 array of any shape, or a complex one where these are welcome and came.
+
+    It is a copy only where the type differs.
 
     Parameters
     ----------
-    name : str
-        What the caller calls it.
+    name, what : str
+        What the caller calls it, and what it should be, such as ``"a state (6,)"``.
     value : array_like
         What came.
-    what : str
-        What it should be, such as ``"a state (6,)"``.
-    finite : bool
-        Whether infinities and NaN are refused.
-    complex_too : bool
-        Whether complex numbers are taken.
-
-    Returns
-    -------
-    ndarray
-        Of any shape; a copy only where the type differs.
+    finite, complex_too : bool
+        Whether infinities and NaN are refused, and whether complex numbers are taken.
 
     Raises
     ------

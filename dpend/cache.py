@@ -13,16 +13,6 @@ class NotPrivate(PermissionError):
 def private_folder(path: Path) -> Path:
     """Return a folder that its owner alone may write to, made with mode 0700 where there is none.
 
-    Parameters
-    ----------
-    path : Path
-        The folder.
-
-    Returns
-    -------
-    Path
-        The same.
-
     Raises
     ------
     NotPrivate

@@ -96,13 +96,7 @@ class FunctionController:
 
 
 def as_controller(controller: Controller | Law) -> Controller:
-    """Return the controller, or a plain function ``law(t, x)`` of one state as one.
-
-    Raises
-    ------
-    TypeError
-        If it is neither.
-    """
+    """Return the controller, or a plain function ``law(t, x)`` of one state as one; refuse anything else."""
     if callable(controller) and not isinstance(controller, type) and not hasattr(controller, "start"):
         return FunctionController(controller)
     check_controller(controller)
@@ -120,13 +114,7 @@ def is_batched(controller: Controller) -> bool:
 
 
 def check_controller(controller: object) -> None:
-    """Refuse what is not a controller.
-
-    Raises
-    ------
-    TypeError
-        If it is a class rather than an object, or has no ``start``.
-    """
+    """Refuse what is not a controller: a class rather than an object, or what has no ``start``."""
     if isinstance(controller, type):
         raise TypeError(f"Expected a controller object; got the class {controller.__name__}. Call it first.")
     if not callable(getattr(controller, "start", None)):

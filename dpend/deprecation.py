@@ -11,33 +11,14 @@ Changed = TypeVar("Changed", bound=type)
 
 
 def warn_renamed(old: str, new: str, stacklevel: int = 3) -> None:
-    """Warn that a name has changed.
-
-    Parameters
-    ----------
-    old, new : str
-        What it was called, and what it is called now.
-    stacklevel : int
-        How many calls above this one the user's own line stands, counted as by ``warnings.warn``.
-    """
+    """Warn that a name has changed; the user's own line stands ``stacklevel`` calls above, as warnings count."""
     warnings.warn(f"{old} is now called {new}; the old name goes with version 0.3.", DeprecationWarning, stacklevel)
 
 
 def renamed_exports(module: str, names: Mapping[str, str], values: Mapping[str, Any]) -> Callable[[str], Any]:
     """Return a module's ``__getattr__`` that still knows exports by the names that they had.
 
-    Parameters
-    ----------
-    module : str
-        The module's name.
-    names : mapping of str to str
-        New names by old ones.
-    values : mapping of str to object
-        What the new names stand for, such as the module's ``globals()``.
-
-    Returns
-    -------
-    callable
+    ``names`` are new names by old ones, ``values`` what the new ones stand for, such as the module's ``globals()``.
     """
 
     def __getattr__(name: str) -> Any:
@@ -50,18 +31,7 @@ def renamed_exports(module: str, names: Mapping[str, str], values: Mapping[str, 
 
 
 def renamed_arguments(**names: str) -> Callable[[Changed], Changed]:
-    """Return a decorator by which a class still takes keywords, and shows attributes, by the names that they had.
-
-    Parameters
-    ----------
-    **names : str
-        New names by old ones.
-
-    Returns
-    -------
-    callable
-        Decorator of classes.
-    """
+    """Return a decorator by which a class still takes keywords, and shows attributes, by their old names."""
 
     def decorate(changed: Changed) -> Changed:
         build = changed.__init__

@@ -12,9 +12,9 @@ import subprocess
 import sys
 import textwrap
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -37,22 +37,8 @@ from .state import as_states
 Pixels = npt.NDArray[np.uint8]
 
 
-class _Motion(Protocol):
-    """What is drawn of a run; :class:`dpend.Run` says what each is."""
-
-    @property
-    def t(self) -> Array: ...
-    @property
-    def x(self) -> Array: ...
-    @property
-    def u(self) -> Array: ...
-    @property
-    def rig(self) -> Rig: ...
-    @property
-    def log(self) -> Mapping[str, Array]: ...
-    @property
-    def title(self) -> str: ...
-
+if TYPE_CHECKING:
+    from .run import Run
 
 if sys.platform == "win32":  # a path's class cannot be subclassed as `Path` before Python 3.12
     from pathlib import WindowsPath as _Path
@@ -322,20 +308,11 @@ class Film(_Path):
         return f'<video controls loop src="{source}"></video>' if kind == "video/mp4" else f'<img src="{source}">'
 
 
-def plot_run(run: _Motion) -> Plot:
+def plot_run(run: Run) -> Plot:
     """Return a run drawn against time: position, angles, their rates, the force as it was held, and pushes if any.
 
     The ends of the track and the limit of the force are drawn where the signal comes near them, and named either way.
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-
-    Returns
-    -------
-    Plot
-        A matplotlib figure, 16 cm wide; ``figure.savefig(path)`` writes it, ``figure.show()`` and notebooks show it.
+    The figure is 16 cm wide.
     """
     pushes = {label: run.log[name] for name, label in PUSHES.items() if np.any(np.nan_to_num(run.log.get(name, 0.0)))}
     figure = Plot(figsize=(6.3, 9.0 if pushes else 7.6), layout="constrained")
@@ -418,7 +395,7 @@ def draw_strobe(axes: Axes, x: npt.ArrayLike, rig: Rig, *, pictures: int = 16) -
     axes.set(aspect="equal", ylim=(-1.1 * reach, 1.1 * reach))
 
 
-def animate_run(run: _Motion, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Film:
+def animate_run(run: Run, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Film:
     """Return the path of a film of a run, with time and force above the picture, as ``Run.animate`` says.
 
     Each picture shows the run's last sample before that moment.  A GIF counts in hundredths of a second and shows at
@@ -448,7 +425,7 @@ def animate_run(run: _Motion, path: str | Path, *, fps: float = 25, speed: float
     return Film(path)
 
 
-def _frames(run: _Motion, picture: Picture, step: float) -> Iterator[Pixels]:
+def _frames(run: Run, picture: Picture, step: float) -> Iterator[Pixels]:
     """Draw the run every ``step`` seconds, and at its end: each time the last sample that was not in the future."""
     duration = run.t[-1] - run.t[0]
     times = run.t[0] + np.minimum(step * np.arange(math.ceil(duration / step - 1e-6) + 1), duration)
@@ -473,13 +450,7 @@ def _write_gif(path: Path, frames: Iterable[Pixels], colorful: Pixels, milliseco
 
 
 def _find_ffmpeg() -> str:
-    """Return ffmpeg's path, from the system or from the package imageio-ffmpeg.
-
-    Raises
-    ------
-    RuntimeError
-        If there is none.
-    """
+    """Return ffmpeg's path, from the system or from the package imageio-ffmpeg."""
     system = shutil.which("ffmpeg")
     if system is not None:
         return system
@@ -493,13 +464,7 @@ def _find_ffmpeg() -> str:
 
 
 def _write_mp4(path: Path, frames: Iterable[Pixels], fps: float, ffmpeg: str) -> None:
-    """Pipe frames through ffmpeg, with its own choice of encoder and colours that every player knows.
-
-    Raises
-    ------
-    RuntimeError
-        If ffmpeg fails; with its message.
-    """
+    """Pipe frames through ffmpeg, with its own choice of encoder and colours that every player knows."""
     frames = iter(frames)
     first = next(frames)
     height, width, _ = first.shape

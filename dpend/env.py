@@ -323,13 +323,8 @@ def task_from(
 ) -> Balance | SwingUp:
     """Take a task's parameters out of the keywords given to make an environment, and return the task.
 
-    Raises
-    ------
-    TypeError
-        If neither task nor environment has a parameter of that name, nor is it one of the others; the message suggests
-        the nearest.
-    ValueError
-        If a value is out of its range, or a weight of the report's cost is set and another reward is paid.
+    What neither of them nor ``others`` names is refused by a TypeError that suggests the nearest; a weight of the
+    report's cost where another reward is paid, by a ValueError.
     """
     own = {field.name for field in fields(kind)}
     known = own | (set(inspect.signature(environment).parameters) - {"task"}) | set(others)

@@ -44,19 +44,7 @@ class Rule(NamedTuple):
 
 
 def rule_of(task: Balance | SwingUp, rig: Rig) -> Rule:
-    """Return the rule of a task on a single rig.
-
-    Parameters
-    ----------
-    task : Balance or SwingUp
-        The task.
-    rig : Rig
-        A single one, for its track and its sample time.
-
-    Returns
-    -------
-    Rule
-    """
+    """Return the rule of a task on a single rig, whose track and sample time count."""
     limit1, limit2 = task.angle_limits
     return Rule(
         bounds=(float(rig.track_limit), limit1, limit2),

@@ -144,16 +144,8 @@ def make_acceleration_slopes(sin, cos):
 def make_energies(cos):
     r"""Build :math:`T = \tfrac12 \dot q^\top D(q)\,\dot q` and :math:`V = f_1\cos\theta_1 + f_2\cos\theta_2`.
 
-    Parameters
-    ----------
-    cos : callable
-        Cosine for the kind of number the result is to take.
-
-    Returns
-    -------
-    callable
-        ``energies(x, c)``: kinetic and potential energy in J; the potential is zero with every centre of mass at
-        the height of the cart's joint.
+    ``energies(x, c)`` returns kinetic and potential energy in J; the potential is zero with every centre of mass at the
+    height of the cart's joint.
     """
 
     def energies(x, c):
@@ -170,17 +162,9 @@ def make_energies(cos):
 
 
 def make_positions(sin, cos):
-    r"""Build the places of the second joint and of the tip.
+    """Build the places of the second joint and of the tip.
 
-    Parameters
-    ----------
-    sin, cos : callable
-        Sine and cosine for the kind of number the result is to take.
-
-    Returns
-    -------
-    callable
-        ``positions(x, c)``: ``(x_joint, y_joint, x_tip, y_tip)`` in m, heights above the cart's joint.
+    ``positions(x, c)`` returns ``(x_joint, y_joint, x_tip, y_tip)`` in m, heights above the cart's joint.
     """
 
     def positions(x, c):
@@ -207,17 +191,8 @@ def axpy(x, k, h):
 def make_rk4(rates, axpy=axpy):
     r"""Build one classical Runge-Kutta step, :math:`x + \tfrac{h}{6}(k_1 + 2k_2 + 2k_3 + k_4)`.
 
-    Parameters
-    ----------
-    rates : callable
-        What :func:`make_rates` returned.
-    axpy : callable, optional
-        :func:`axpy`, in the form the kind of number needs (numba wants it compiled).
-
-    Returns
-    -------
-    callable
-        ``step(x, f, c, h)``: the state ``h`` seconds later under forces held at ``f``.
+    ``step(x, f, c, h)`` returns the state ``h`` seconds later under forces held at ``f``, given what :func:`make_rates`
+    returned, and :func:`axpy` in the form the kind of number needs (numba wants it compiled).
     """
 
     def step(x, f, c, h):

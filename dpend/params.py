@@ -68,12 +68,8 @@ def unit_of(name: str) -> str:
 def checked_number(name: str, value: object, unit: str, least: float, least_allowed: bool) -> Number:
     """Return ``value`` as a float, or as a read-only array of one number a row, if it is finite and large enough.
 
-    Raises
-    ------
-    TypeError
-        If it is not a number or a one-dimensional array of numbers.
-    ValueError
-        If an element is not finite, or below what is allowed; the message names field, bound and value.
+    What is no number or array ``(N,)`` of them is refused by a TypeError, what is out of range by a ValueError, which
+    names field, bound and value.
     """
     array = checked_array(name, value, f"one in {unit}, or an array (N,) with one per row", finite=False).copy()
     if array.ndim > 1 or array.size == 0:
@@ -95,13 +91,7 @@ def frozen(array: npt.NDArray[Any]) -> Number:
 
 
 def common_length(owner: str, values: dict[str, object]) -> int | None:
-    """Return the number of rows that the array-valued fields share, or None where every field is a single number.
-
-    Raises
-    ------
-    ValueError
-        If two fields are arrays of different lengths.
-    """
+    """Return the number of rows that array-valued fields share, or None where all are single numbers."""
     lengths = {name: len(value) for name, value in values.items() if isinstance(value, np.ndarray) and value.ndim}
     if len(set(lengths.values())) > 1:
         listing = ", ".join(f"{name} ({n},)" for name, n in lengths.items())
@@ -110,13 +100,7 @@ def common_length(owner: str, values: dict[str, object]) -> int | None:
 
 
 def checked_params(what: str, params: object) -> Params:
-    """Return the plant, if it is one.
-
-    Raises
-    ------
-    TypeError
-        If it is something else, such as a rig; the message names ``what`` takes it.
-    """
+    """Return the plant, if it is one; refuse anything else, such as a rig, in the name of ``what`` takes it."""
     if not isinstance(params, Params):
         raise TypeError(f"{what} takes dpend.Params, such as rig.params; got {type(params).__name__}.")
     return params

@@ -13,17 +13,9 @@ _LIBRARIES = ("dpend", "numpy", "scipy", "numba", "casadi", "control", "gymnasiu
 
 @cache
 def fingerprint(*sources: Path) -> str:
-    """Hash Python sources, so that results of another state of the code are recognised.
+    """Hash Python sources in sixteen digits, so that results of another state of the code are recognised.
 
-    Parameters
-    ----------
-    *sources : Path
-        Files, or folders of which every ``*.py`` counts, sub-folders not.
-
-    Returns
-    -------
-    str
-        Sixteen hexadecimal digits.
+    Of a folder every ``*.py`` counts, sub-folders not.
     """
     files = {file for source in sources for file in (source.glob("*.py") if source.is_dir() else (source,))}
     digest = hashlib.sha256()

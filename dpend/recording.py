@@ -55,15 +55,7 @@ def read_recording(
     resample: bool,
     any_size: bool,
 ) -> Recording:
-    """Read what ``Run.from_csv`` is given; its documentation says what each argument is.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
-    ValueError
-        If the table lacks a column, holds anything but numbers, has no uniform clock, or looks like other units.
-    """
+    """Read what ``Run.from_csv`` is given; its documentation says what each argument is, and what is refused."""
     per_angle = _radians(angle_unit)
     for name, unit in (("position_unit", position_unit), ("force_unit", force_unit)):
         if not (is_finite(unit) and unit != 0):

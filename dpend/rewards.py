@@ -54,18 +54,12 @@ def reward_of(reward: str | Reward, task: Task, rig: Rig) -> Reward:
     task : Task
         The task.
     rig : Rig
-        The rig or rigs.
-
-    Returns
-    -------
-    callable
+        The rig or rigs; one where the reward is shaped.
 
     Raises
     ------
-    TypeError
-        If it is neither a name nor a function.
-    ValueError
-        If there is no reward of that name, or the shaped one is asked for on several rigs.
+    TypeError, ValueError
+        If it is neither a name nor a function, there is no reward of that name, or there are too many rigs.
     """
     if callable(reward):
         return reward

@@ -267,10 +267,6 @@ class Rig:
         path : str or Path
             The file, laid out as :meth:`to_toml` does it; SI units.
 
-        Returns
-        -------
-        Rig
-
         Raises
         ------
         OSError
@@ -452,10 +448,6 @@ def rig(name: str) -> Rig:
         One of those that :func:`rigs` lists, or the path of a file, ending in ``.toml``, that
         :meth:`Rig.from_toml` reads.
 
-    Returns
-    -------
-    Rig
-
     Raises
     ------
     OSError
@@ -473,21 +465,7 @@ def rig(name: str) -> Rig:
 def as_rig(rig_or_name: Rig | str) -> Rig:
     """Return the rig, or the preset of that name.
 
-    Parameters
-    ----------
-    rig_or_name : Rig or str
-        Either.
-
-    Returns
-    -------
-    Rig
-
-    Raises
-    ------
-    TypeError
-        If it is neither a rig nor a name.
-    ValueError
-        If no preset has that name; the message suggests the nearest.
+    What is neither is refused by a TypeError, an unknown name by a ValueError that suggests the nearest.
     """
     if isinstance(rig_or_name, str):
         return rig(rig_or_name)
@@ -502,24 +480,7 @@ def rigs() -> dict[str, str]:
 
 
 def single_rig(rig_or_name: Rig | str, what: str) -> Rig:
-    """Return the rig, or the preset of that name, for something that takes one plant.
-
-    Parameters
-    ----------
-    rig_or_name : Rig or str
-        Either.
-    what : str
-        What takes it.
-
-    Returns
-    -------
-    Rig
-
-    Raises
-    ------
-    TypeError, ValueError
-        As :func:`as_rig`; and if the rig describes several rows.
-    """
+    """Return the rig, or the preset of that name, for ``what`` takes one plant; refuse a rig of several rows."""
     rig = as_rig(rig_or_name)
     if rig.n is not None:
         raise ValueError(f"{what} takes one plant; got a rig of {rig.n} rows. Take one of them with rig.rows(i).")

@@ -294,10 +294,6 @@ class Run(_Record):
         any_size : bool
             Accept numbers that look like those of another unit.
 
-        Returns
-        -------
-        Run
-
         Raises
         ------
         OSError

@@ -33,16 +33,9 @@ _EPISODE = 10.0
 
 
 def observation_scales(rig: Rig) -> Array:
-    r"""Return :math:`(s_p, s_v, s_\omega, s_\omega)` of a single rig, in m, m/s and rad/s.
+    r"""Return :math:`(s_p, s_v, s_\omega, s_\omega)` of a single rig ``(4,)``, in m, m/s and rad/s.
 
-    Parameters
-    ----------
-    rig : Rig
-        The rig; where its track is unlimited, :math:`s_p` is the length of both links.
-
-    Returns
-    -------
-    ndarray (4,)
+    Where its track is unlimited, :math:`s_p` is the length of both links.
     """
     length = (rig.params.length1 + rig.params.length2) / 2
     rate = 2 * np.sqrt(rig.params.gravity / length)
@@ -56,20 +49,9 @@ def nearness(cos1: Array, cos2: Array) -> Array:
 
 
 def observe(y: Array, scales: Array, last: Array | None = None) -> Array:
-    r"""Return :math:`o(y)`, with the last action behind it where there is one.
+    """Return :math:`o(y)` of measured states, ``(n, 8)``, or ``(n, 9)`` with the last actions ``(n,)`` behind it.
 
-    Parameters
-    ----------
-    y : ndarray (n, 6)
-        Measured states.
-    scales : ndarray (4,)
-        What :func:`observation_scales` returns.
-    last : ndarray (n,), optional
-        Last actions, shares of the force limit.
-
-    Returns
-    -------
-    ndarray (n, 8) or (n, 9)
+    Actions are shares of the force limit; :func:`observation_scales` makes the scales.
     """
     o = np.empty((len(y), 8 if last is None else 9))
     o[:, 0] = y[:, 0] / scales[0]
@@ -83,22 +65,9 @@ def observe(y: Array, scales: Array, last: Array | None = None) -> Array:
 
 
 def shaped_reward(rig: Rig, x: Array, u: Array, codes: Codes) -> Array:
-    r"""Return :math:`r(x, a)` of states.
+    """Return :math:`r(x, a)` of states ``(n, 6)`` after a sample, of one rig with a force limit.
 
-    Parameters
-    ----------
-    rig : Rig
-        A single one with a force limit.
-    x : ndarray (n, 6)
-        States after a sample.
-    u : ndarray (n,)
-        Forces applied over it, N.
-    codes : ndarray (n,)
-        Status codes of the states.
-
-    Returns
-    -------
-    ndarray (n,)
+    The forces ``u`` ``(n,)`` in N were applied over the sample, and the states have those status codes.
     """
     scales = observation_scales(rig)
     share1 = float(rig.params.length1) / float(rig.params.length1 + rig.params.length2)
@@ -153,13 +122,7 @@ class Mixture:
 
 
 def shaped_balance(rig: Rig) -> tuple[Mixture, Rig]:
-    """Return the task and the rig that the shipped policies learned to balance on: starts within 0.4 rad, 300 samples.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-    """
+    """Return task and rig that the shipped policies learned to balance on: starts within 0.4 rad, 300 samples."""
     task = Balance(lam=0.4)
     return Mixture(task=task, mixture=[task], steps=task.steps), rig
 
@@ -169,11 +132,6 @@ def shaped_swing_up(rig: Rig) -> tuple[Mixture, Rig]:
 
     Episodes of 10 s start hanging, to the side, near upright or anywhere, each equally often, and a force is held for
     0.04 s, or for as many samples of an ideal rig as that has.
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
     """
     samples = max(math.floor(LONGEST_HOLD / rig.sample_time + 1e-9), 1) if rig.ideal else 1
     # Holding a force for k samples is sampling k times more slowly, with as many substeps.

@@ -62,10 +62,6 @@ def simulate(
     seed : int
         What the disturbances are drawn from.
 
-    Returns
-    -------
-    Run
-
     Raises
     ------
     TypeError, ValueError
@@ -121,10 +117,6 @@ def simulate_many(
     workers : int
         Processes that share the rows of a controller which treats one run at a time.
 
-    Returns
-    -------
-    Runs
-
     Raises
     ------
     TypeError, ValueError
@@ -172,13 +164,7 @@ def _joined(blocks: Iterable[Runs], rig: Rig) -> Runs:
 
 
 def _samples(rig: Rig, task: Task, duration: float | None) -> int:
-    """Return the number of samples in a run.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If the duration is missing where the task has none, or is no whole number of samples.
-    """
+    """Return the number of samples in a run; refuse a duration that is no whole number of them, or missing."""
     if duration is None:
         if task.steps is None:
             raise ValueError("Without a task a run has no natural end: pass a duration in s.")
@@ -196,13 +182,7 @@ def _samples(rig: Rig, task: Task, duration: float | None) -> int:
 
 
 def _check_memory(samples: int, rows: int, record: bool) -> None:
-    """Refuse records that this machine cannot hold.
-
-    Raises
-    ------
-    ValueError
-        If forces and states would take more than its memory.
-    """
+    """Refuse records of forces and states that this machine cannot hold."""
     needed = samples * rows * (128 if record else 32) // 2**30
     there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2**30 if hasattr(os, "sysconf") else 64
     if needed > there:

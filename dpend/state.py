@@ -76,15 +76,7 @@ def nearest_upright(x: npt.ArrayLike) -> Array:
 
 
 def state_rows(name: str, x: npt.ArrayLike, *, complex_too: bool = False) -> npt.NDArray[Any]:
-    """Return states of any shape ``(..., 6)`` as an array, finite or not.
-
-    Raises
-    ------
-    TypeError
-        If they are not made of numbers.
-    ValueError
-        If a state does not have six.
-    """
+    """Return states of any shape ``(..., 6)`` as an array, finite or not; refuse what is none."""
     array = checked_array(name, x, "states (..., 6)", finite=False, complex_too=complex_too)
     if array.ndim == 0 or array.shape[-1] != 6:
         raise ValueError(f"A state has six numbers: expected an array of shape (..., 6); got shape {array.shape}.")
@@ -92,19 +84,9 @@ def state_rows(name: str, x: npt.ArrayLike, *, complex_too: bool = False) -> npt
 
 
 def deviation(x: npt.ArrayLike, target: npt.ArrayLike) -> Array:
-    r"""Return :math:`x - x^*` with both angles taken to the nearest whole turn.
+    r"""Return :math:`x - x^*` with both angles taken to the nearest whole turn, within :math:`[-\pi, \pi]`.
 
-    Parameters
-    ----------
-    x : array_like
-        States ``(..., 6)``.
-    target : array_like
-        :math:`x^*`, a state ``(6,)`` or states that broadcast against ``x``.
-
-    Returns
-    -------
-    ndarray
-        New differences, angles within :math:`[-\pi, \pi]`.
+    ``x`` are states ``(..., 6)``, ``target`` is one ``(6,)``, or states that broadcast against ``x``.
     """
     x, target = state_rows("x", x), state_rows("target", target)
     try:
@@ -123,14 +105,9 @@ def as_equilibrium(target: str | npt.ArrayLike) -> Array:
     target : str or array_like (6,)
         One of :data:`EQUILIBRIA`, or a state at rest with each link straight up or down, by any number of turns.
 
-    Returns
-    -------
-    ndarray (6,)
-        Read-only.
-
     Raises
     ------
-    ValueError
+    TypeError, ValueError
         If there is no such equilibrium; the message suggests the nearest.
     """
     if isinstance(target, str):
@@ -149,15 +126,7 @@ def as_equilibrium(target: str | npt.ArrayLike) -> Array:
 
 
 def one_state(name: str, x: npt.ArrayLike) -> Array:
-    """Return one finite state as a new array ``(6,)``.
-
-    Raises
-    ------
-    TypeError
-        If it is not made of numbers.
-    ValueError
-        If it has another shape, or a number is not finite.
-    """
+    """Return one finite state as a new array ``(6,)``; refuse what is none."""
     state = checked_array(name, x, "a state (6,)", finite=False)
     if state.shape != (6,):
         raise ValueError(f"{name} must be one state of shape (6,); got shape {state.shape}.")
@@ -165,24 +134,19 @@ def one_state(name: str, x: npt.ArrayLike) -> Array:
 
 
 def as_states(x: npt.ArrayLike, n: int | None = None) -> Array:
-    """Return ``x`` as a new float64 array of states ``(n, 6)``; a single state stands for one row.
+    """Return ``x``, states ``(n, 6)`` or one ``(6,)``, as a new float64 array ``(n, 6)``, C-contiguous.
 
     Parameters
     ----------
     x : array_like
-        States ``(n, 6)`` or one state ``(6,)``.
+        The states.
     n : int, optional
-        How many rows there must be; one state is then repeated.
-
-    Returns
-    -------
-    ndarray
-        States ``(n, 6)``, C-contiguous, owned by the caller.
+        How many rows there must be; one state is then repeated, otherwise it stands for one row.
 
     Raises
     ------
-    ValueError
-        If the shape is another, or a number is not finite.
+    TypeError, ValueError
+        If it is not made of numbers, has another shape, or a number is not finite.
     """
     array = checked_array("x", x, "states (N, 6) or one state (6,)", finite=False)
     if array.shape == (6,):

@@ -28,13 +28,7 @@ SENSOR_STREAM, FORCE_STREAM, CONTROLLER_STREAM = range(3)
 
 
 def checked_push(push: npt.ArrayLike, n: int) -> Array:
-    """Return pushes as an array ``(3,)`` or ``(n, 3)``.
-
-    Raises
-    ------
-    ValueError
-        If they have another shape.
-    """
+    """Return pushes as an array ``(3,)`` or ``(n, 3)``; refuse other shapes."""
     array = checked_array("A push", push, "a force in N and torques in N m, (3,)", finite=False)
     if array.shape not in ((3,), (n, 3)):
         raise ValueError(
@@ -45,13 +39,7 @@ def checked_push(push: npt.ArrayLike, n: int) -> Array:
 
 
 def checked_forces(u: npt.ArrayLike, n: int) -> Array:
-    """Return commanded forces as a new array ``(n,)``.
-
-    Raises
-    ------
-    ValueError
-        If they are not one number per row.
-    """
+    """Return commanded forces as a new array ``(n,)``; refuse what is not one number a row."""
     try:
         forces = np.array(u, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):

@@ -18,16 +18,8 @@ _energies = equations.make_energies(casadi.cos)
 def rates_function(params: Params) -> Any:
     r"""Return :math:`(x, f) \mapsto \dot x`, the equations of motion, as a CasADi function.
 
-    Parameters
-    ----------
-    params : Params
-        One plant, no arrays.
-
-    Returns
-    -------
-    casadi.Function
-        From the state ``(6,)`` and the generalised forces on cart (N) and links (N m), ``(3,)``, to the state's rate
-        ``(6,)``; as :func:`dpend.rates`.
+    From the state ``(6,)`` and the generalised forces on cart (N) and links (N m), ``(3,)``, to the state's rate
+    ``(6,)``; as :func:`dpend.rates`, of one plant.
     """
     x, f = casadi.SX.sym("x", 6), casadi.SX.sym("f", 3)
     return casadi.Function("rates", [x, f], [casadi.vertcat(*_rates(_split(x), f, params.coefficients()))])
@@ -36,18 +28,8 @@ def rates_function(params: Params) -> Any:
 def sample_function(rig: Rig, *, free_step: bool = False) -> Any:
     r"""Return :math:`(x_k, u_k) \mapsto x_{k+1} = \Phi^n(x_k, u_k)`, a sample of n substeps, as a CasADi function.
 
-    Parameters
-    ----------
-    rig : Rig
-        The plant and its clock; actuator and sensors are left out.
-    free_step : bool
-        Whether the length of the sample is a third argument rather than the rig's.
-
-    Returns
-    -------
-    casadi.Function
-        From the state ``(6,)``, the force on the cart in N, held, and with ``free_step`` the sample time in s, to the
-        state ``(6,)`` afterwards.
+    From the state ``(6,)`` and the force on the cart in N, held, to the state ``(6,)`` afterwards; actuator and sensors
+    are left out.  With ``free_step`` the length of the sample in s is a third argument rather than the rig's.
     """
     start, u, h = casadi.SX.sym("x", 6), casadi.SX.sym("u"), casadi.SX.sym("h")
     time = [h] if free_step else []
@@ -59,14 +41,9 @@ def sample_function(rig: Rig, *, free_step: bool = False) -> Any:
 
 
 def substep_function(rig: Rig, *, free_step: bool = False) -> Any:
-    r"""Return :math:`\Phi(x, u)`, one classical Runge-Kutta step of length :math:`T/n`, as a CasADi function.
+    r"""Return :math:`\Phi(x, u)`, one Runge-Kutta step of length :math:`T/n`; :func:`sample_function` does n of them.
 
-    A sample is :math:`n` of them; optimal control that is built of steps rather than samples has smaller derivatives.
-
-    Parameters
-    ----------
-    rig, free_step
-        See :func:`sample_function`, also for what the function takes and returns.
+    Optimal control that is built of steps rather than samples has smaller derivatives.
     """
     x, u, h = casadi.SX.sym("x", 6), casadi.SX.sym("u"), casadi.SX.sym("h")
     time = [h] if free_step else []
@@ -76,18 +53,9 @@ def substep_function(rig: Rig, *, free_step: bool = False) -> Any:
 
 
 def energy_function(params: Params) -> Any:
-    r"""Return :math:`x \mapsto E = E_\text{kin} + E_\text{pot}`, J, as a CasADi function.
+    r"""Return :math:`x \mapsto E = E_\text{kin} + E_\text{pot}`, J, as a CasADi function, of one plant.
 
-    Parameters
-    ----------
-    params : Params
-        One plant, no arrays.
-
-    Returns
-    -------
-    casadi.Function
-        From the state ``(6,)`` to the energy, zero at rest with both centres of mass at the height of the cart's joint;
-        as :func:`dpend.energies`.
+    Zero is rest with both centres of mass at the height of the cart's joint; as :func:`dpend.energies`.
     """
     x = casadi.SX.sym("x", 6)
     kinetic, potential = _energies(_split(x), params.coefficients())

@@ -53,13 +53,7 @@ class Task(Protocol):
 
 
 def checked_task(task: Task) -> Task:
-    """Refuse what is not a task, a class of tasks included.
-
-    Raises
-    ------
-    TypeError
-        If it is a class, or lacks what a task has.
-    """
+    """Return a task; refuse what is none, a class of tasks included."""
     if isinstance(task, type):
         raise TypeError(f"Expected a task such as dpend.Balance(); got the class {task.__name__}. Call it first.")
     if not all(hasattr(task, name) for name in ("steps", "hold", "starts", "ended", "upright", "cost")):
@@ -205,13 +199,7 @@ class Balance(ReportCost):
 
 
 def check_lam(lam: float) -> None:
-    r"""Refuse a greatest starting angle that is none, or that lies beyond the horizontal.
-
-    Raises
-    ------
-    ValueError
-        Unless :math:`0 < \lambda \le \pi/2`.
-    """
+    r"""Refuse a greatest starting angle unless :math:`0 < \lambda \le \pi/2`: up to the horizontal."""
     if not (is_finite(lam) and 0 < lam <= math.pi / 2):
         raise ValueError(f"lambda is the greatest starting angle in rad: expected 0 < lambda <= pi/2; got {lam!r}.")
 

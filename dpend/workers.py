@@ -43,17 +43,10 @@ def pool(workers: int, **sent: object) -> Iterator[ProcessPoolExecutor]:
     **sent : object
         What the caller will send to them, by the names that a message should use.
 
-    Returns
-    -------
-    context manager
-        Of a :class:`concurrent.futures.ProcessPoolExecutor`.
-
     Raises
     ------
-    TypeError
-        Before a process starts, if something cannot be sent.
-    ValueError
-        If ``workers`` is not a whole number, at least one.
+    TypeError, ValueError
+        Before a process starts, if something cannot be sent, or ``workers`` is not a whole number, at least one.
     RuntimeError
         If a worker could not import the program that runs, or ended before its time.
     """
