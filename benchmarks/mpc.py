@@ -28,7 +28,7 @@ from rich.table import Table
 
 import dpend
 from benchmarks.simulator import TITLE, pin_to_one_core, version_of
-from controllers.codegen import NLPSolver, nlp_solver
+from controllers.codegen import NLPSolver
 from controllers.shooting import Stage, multiple_shooting
 from dpend.equations import make_energies, make_positions
 from dpend.params import Array
@@ -93,16 +93,10 @@ def ours() -> tuple[Law, str]:
         path=casadi.vertcat(*distances(state)),
     )
     program = multiple_shooting(stage, HORIZON)
-    common = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False}
 
     def solver(barrier: float, iterations: int) -> NLPSolver:
-        limits = {"tol": 1e-4, "mu_init": barrier, "max_iter": iterations, "print_level": 0}
-        return nlp_solver(
-            program.nlp,
-            derivatives=program.derivatives,
-            fatrop=common | {"structure_detection": "auto", "equality": program.equality, "fatrop": limits},
-            ipopt=common | {"ipopt": limits | {"sb": "yes"}},
-        )
+        limits = {"tol": 1e-4, "mu_init": barrier, "max_iter": iterations}
+        return program.solver(fatrop=limits, ipopt=limits)
 
     warm, cold = solver(1e-3, 20), solver(COLD_BARRIER, 300)
     lower, upper = program.constraints(0.0, 0.0), program.constraints(0.0, math.inf)

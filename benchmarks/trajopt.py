@@ -19,7 +19,7 @@ from rich.table import Table
 import dpend
 from controllers import optimize, shipped, violations
 from controllers.codegen import find_compiler
-from controllers.trajopt import STARTS, Plugin, _guesses, _program, _solve
+from controllers.trajopt import STARTS, Plugin, _guesses, _solved, _solver
 
 REPETITIONS = 5
 RIG = dpend.rig("gustafsson2016")
@@ -40,19 +40,19 @@ def solve_times(solvers: dict[str, Plugin]) -> Table:
     first = {
         name: timed(lambda s=solver: optimize(RIG, target=TARGET, solver=s))[0] for name, solver in solvers.items()
     }
-    programs = {name: _program(RIG, 125, "effort", 0.1, force, solver) for name, solver in solvers.items()}
+    made = {name: _solver(RIG, 125, "effort", 0.1, force, solver) for name, solver in solvers.items()}
     solves: dict[str, list[float]] = {name: [] for name in solvers}
     wholes: dict[str, list[float]] = {name: [] for name in solvers}
     iterations: dict[str, int] = {}
     for _ in range(REPETITIONS):
-        for name, program in programs.items():
+        for name, solve in made.items():
             seconds, found = timed(
-                lambda p=program: _solve(
-                    p, RIG, "effort", begin, TARGET, guess, force, track_margin=0.2, force_margin=0.0
+                lambda s=solve: _solved(
+                    s, RIG, "effort", begin, TARGET, guess, force, track_margin=0.2, force_margin=0.0
                 )
             )
             solves[name].append(seconds)
-            iterations[name] = found.trajectory.about["iterations"]
+            iterations[name] = found.about["iterations"]
             wholes[name].append(timed(lambda n=name: optimize(RIG, target=TARGET, solver=solvers[n]))[0])
     table = Table(
         "solver",
@@ -62,9 +62,9 @@ def solve_times(solvers: dict[str, Plugin]) -> Table:
         "first call, s",
         title=f"Best of {REPETITIONS} interleaved turns",
     )
-    for name, program in programs.items():
+    for name, solve in made.items():
         table.add_row(
-            program.solve.backend,
+            solve.backend,
             str(iterations[name]),
             f"{1e3 * min(solves[name]):.0f}",
             f"{1e3 * min(wholes[name]):.0f}",

@@ -29,7 +29,6 @@ from dpend.rig import Rig, single_rig
 from dpend.state import as_states
 from dpend.symbolic import substep_function
 
-from .codegen import nlp_solver
 from .shooting import Stage, multiple_shooting
 from .trajectory import Trajectory
 from .trajopt import NoTrajectory
@@ -37,10 +36,8 @@ from .trajopt import NoTrajectory
 _NEAR = 0.2  # rad: starts within it are solved from a straight line, those beyond from the solution of a nearer one
 _EFFORT = 1e-5  # weight of the sum of v^2 beside F in units of the plant's weight: it moves 40 N by less than 0.01 N
 _MOST = 20.0  # greatest F, in that unit
-_TOLERANCE = 1e-7
 _PATIENCE = 120.0  # s, after which a guess is abandoned
-_QUIET = {"print_time": False, "show_eval_warnings": False}
-_IPOPT = _QUIET | {"ipopt": {"print_level": 0, "sb": "yes", "tol": _TOLERANCE, "max_iter": 200}}
+_LIMITS = {"tol": 1e-7, "max_iter": 200}
 
 
 class LeastForce:
@@ -117,14 +114,7 @@ class LeastForce:
             ),
             self.horizon_steps,
         )
-        fatrop = {"print_level": 0, "tol": _TOLERANCE, "max_iter": 200}
-        self._solver = nlp_solver(
-            self._program.nlp,
-            fatrop=_QUIET | {"structure_detection": "auto", "equality": self._program.equality, "fatrop": fatrop},
-            ipopt=_IPOPT,
-            compiled=compiled,
-            derivatives=self._program.derivatives,
-        )
+        self._solver = self._program.solver(fatrop=_LIMITS, ipopt=_LIMITS, compiled=compiled)
         self.backend = self._solver.backend
 
     def __call__(self, x0: npt.ArrayLike, *, guesses: int = 0, seed: int = 0) -> Trajectory:

@@ -32,7 +32,7 @@ from dpend.rig import Rig, single_rig
 from dpend.state import as_equilibrium, deviation
 from dpend.symbolic import energy_function, sample_function, substep_function
 
-from .codegen import NLPSolver, Plugin, find_compiler, nlp_solver
+from .codegen import NLPSolver, Plugin, find_compiler
 from .lqr import LQR
 from .residuals import make_residuals
 from .shooting import Program, Stage, multiple_shooting
@@ -298,16 +298,9 @@ def _problem(key: str) -> _Problem:
     program = multiple_shooting(_stage(rig, settings), settings["samples"])
 
     def solver(barrier: float, iterations: int) -> NLPSolver:
-        common = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False}
-        limits = {"tol": _TOLERANCE, "mu_init": barrier, "max_iter": iterations, "print_level": 0}
+        limits = {"tol": _TOLERANCE, "mu_init": barrier, "max_iter": iterations}
         start = {"bound_push": 1e-6, "bound_frac": 1e-6} if barrier == _WARM_BARRIER else {}
-        return nlp_solver(
-            program.nlp,
-            solver=settings["solver"],
-            derivatives=program.derivatives,
-            fatrop=common | {"structure_detection": "auto", "equality": program.equality, "fatrop": limits},
-            ipopt=common | {"ipopt": limits | start | {"sb": "yes"}},
-        )
+        return program.solver(fatrop=limits, ipopt=limits | start, solver=settings["solver"])
 
     warm = solver(_WARM_BARRIER, settings["max_iterations"])
     return _Problem(program, warm, solver(_COLD_BARRIER, _COLD_ITERATIONS), sample_function(rig))

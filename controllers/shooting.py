@@ -10,11 +10,16 @@ neither grows with the horizon nor with the number of Runge-Kutta steps in a sam
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import casadi
 import numpy as np
+
+from .codegen import NLPSolver, Plugin, nlp_solver
+
+_QUIET = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +81,25 @@ class Program:
     nx: int
     nu: int
     nh: int
+
+    def solver(
+        self,
+        *,
+        fatrop: Mapping[str, Any],
+        ipopt: Mapping[str, Any],
+        solver: Plugin = "auto",
+        compiled: bool = True,
+    ) -> NLPSolver:
+        """Return a silent solver, by :func:`controllers.codegen.nlp_solver`, given the options of either's own."""
+        stages = {"structure_detection": "auto", "equality": self.equality}
+        return nlp_solver(
+            self.nlp,
+            solver=solver,
+            fatrop=_QUIET | stages | {"fatrop": {"print_level": 0} | dict(fatrop)},
+            ipopt=_QUIET | {"ipopt": {"print_level": 0, "sb": "yes"} | dict(ipopt)},
+            compiled=compiled,
+            derivatives=self.derivatives,
+        )
 
     def pack(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return states ``(N + 1, nx)`` and inputs ``(N, nu)`` as one vector."""

@@ -34,12 +34,12 @@ import numpy.typing as npt
 from dpend.arguments import checked_name, checked_seed, checked_whole, is_finite
 from dpend.params import Array
 from dpend.provenance import versions
-from dpend.rig import Rig, single_rig
+from dpend.rig import Rig, ideal_rig, single_rig
 from dpend.state import as_equilibrium, as_states, deviation
 from dpend.symbolic import sample_function, substep_function
 from dpend.tasks import STARTS
 
-from .codegen import NLPSolver, Plugin, find_compiler, nlp_solver
+from .codegen import NLPSolver, Plugin, find_compiler
 from .shooting import Stage, multiple_shooting
 from .trajectory import Trajectory
 
@@ -49,28 +49,19 @@ TOLERANCE = 1e-6
 """Greatest defect of a sample, and greatest excess over a limit, of a trajectory that is returned."""
 
 _JUMPS = 1e-3  # s, what a jump of the force by its unit costs in minimum time
-_ITERATIONS = 120
 _PATIENCE = 120.0  # s, after which a guess is abandoned
-_QUIET = {"print_time": False, "show_eval_warnings": False}
-_IPOPT = _QUIET | {"ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-9, "max_iter": 300}}
 
 
 class NoTrajectory(RuntimeError):
     """No guess led the solver to a trajectory that holds in the simulator."""
 
 
-class _Program(NamedTuple):
-    """A nonlinear program whose variables are rows ``(s_k, u_k)``, one a sample, and a last state; and its layout.
+def _solver(rig: Rig, N: int, objective: Objective, smoothing: float, unit: float, solver: Plugin) -> NLPSolver:
+    """Return a solver whose variables are rows ``(s_k, u_k)``, one a sample, and a last state.
 
     ``s`` is the state, the last force, and in minimum time the sample's length in units of the rig's, constant along
     the rows: so every constraint ties neighbours only.
     """
-
-    solve: NLPSolver
-    width: int
-
-
-def _program(rig: Rig, N: int, objective: Objective, smoothing: float, unit: float, solver: Plugin) -> _Program:
     free = objective == "time"
     states = 8 if free else 7
     h = rig.sample_time
@@ -95,32 +86,18 @@ def _program(rig: Rig, N: int, objective: Objective, smoothing: float, unit: flo
         cost=cost,
         terminal=terminal,
     )
-    program = multiple_shooting(stage, N)
-    fatrop = _QUIET | {
-        "structure_detection": "auto",
-        "equality": program.equality,
-        "fatrop": {"print_level": 0, "tol": 1e-9, "max_iter": _ITERATIONS},
-    }
-    made = nlp_solver(
-        program.nlp,
+    return multiple_shooting(stage, N).solver(
+        fatrop={"tol": 1e-9, "max_iter": 120},
+        ipopt={"tol": 1e-9, "max_iter": 300},
         solver=solver,
-        fatrop=fatrop,
-        ipopt=_IPOPT,
         compiled=solver != "ipopt",
-        derivatives=program.derivatives,
     )
-    return _Program(made, states + 1)
 
 
 class _Guess(NamedTuple):
     x: Array  # (N + 1, 6)
     u: Array  # (N,) in N
     words: str
-
-
-class _Found(NamedTuple):
-    trajectory: Trajectory
-    cost: float
 
 
 def optimize(
@@ -184,7 +161,25 @@ def optimize(
         If no guess led to a trajectory.
     """
     rig = single_rig(rig, "optimize")
-    _check(rig, objective, duration, smoothing, track_margin, force_margin, starts, solver)
+    checked_name("objective", objective, ("effort", "time"))
+    checked_name("solver", solver, ("auto", "fatrop", "ipopt"))
+    samples = duration / rig.sample_time if is_finite(duration) else 0.0
+    N = round(samples)
+    if abs(samples - N) > 1e-6 or N < 8:
+        raise ValueError(
+            f"duration must be a whole number of samples of {rig.sample_time:g} s, at least 8; got {duration!r} s."
+        )
+    if not (is_finite(smoothing) and smoothing >= 0):
+        raise ValueError(f"smoothing must be finite and at least 0 s; got {smoothing!r}.")
+    for name, margin, limit, metric in (
+        ("track_margin", track_margin, rig.track_limit, "m"),
+        ("force_margin", force_margin, rig.force_limit, "N"),
+    ):
+        if not (is_finite(margin) and 0 <= margin < limit):
+            raise ValueError(
+                f"{name} must be at least 0 and less than the limit of {limit:g} {metric}; got {margin!r}."
+            )
+    checked_whole("starts", starts)
     seed = checked_seed("seed", seed)
     if guess is not None and not isinstance(guess, Trajectory):
         raise TypeError(f"guess must be a controllers.Trajectory; got {guess!r}.")
@@ -198,25 +193,24 @@ def optimize(
     if guess is not None:  # by so many turns that it begins where this one does
         turns = (guess.x[0] - begin - deviation(guess.x[0], begin)) * [0, 1, 1, 0, 0, 0]
         guess = replace(guess, x=guess.x - turns, target=guess.target - turns)
-    N = round(duration / rig.sample_time)
     unit = float(rig.force_limit)
     if not math.isfinite(unit):
         if solver == "auto":  # without a limit fatrop does not return from some guesses
             solver = "ipopt"
         p = rig.params
         unit = float(p.gravity * (p.cart_mass + p.mass1 + p.mass2))
-    made = _program(rig, N, objective, smoothing, unit, solver)
+    solve = _solver(rig, N, objective, smoothing, unit, solver)
     rng = np.random.default_rng(seed)
-    best: _Found | None = None
+    best: Trajectory | None = None
     failures: Counter[str] = Counter()
     tried = 0
     for end in _ends(begin, target, guess):
         for first in _guesses(begin, end, N, rig, guess, starts, rng):
             tried += 1
-            found = _solve(made, rig, objective, begin, end, first, unit, track_margin, force_margin)
+            found = _solved(solve, rig, objective, begin, end, first, unit, track_margin, force_margin)
             if isinstance(found, str):
                 failures[found] += 1
-            elif best is None or found.cost < best.cost - 1e-9:
+            elif best is None or found.about["cost"] < best.about["cost"] - 1e-9:
                 best = found
     if best is None:
         said = ", ".join(f"{count} x {words}" for words, count in failures.most_common())
@@ -224,7 +218,7 @@ def optimize(
             f"None of {tried} guesses led to a trajectory ({said}). Allow more time or force, less margin, more "
             "starts, or give the trajectory of an easier problem as guess."
         )
-    about = dict(best.trajectory.about) | {
+    about = dict(best.about) | {
         "start": start if isinstance(start, str) else "a state",
         "target": target if isinstance(target, str) else "a state",
         "objective": objective,
@@ -237,10 +231,10 @@ def optimize(
         "converged": tried - failures.total(),
         "tried": tried,
         "seed": seed,
-        "solver": made.solve.backend,
+        "solver": solve.backend,
         "versions": versions() | {"casadi": metadata.version("casadi")},
     }
-    return replace(best.trajectory, about=about)
+    return replace(best, about=about)
 
 
 def _state(start: str | npt.ArrayLike) -> Array:
@@ -252,34 +246,6 @@ def _state(start: str | npt.ArrayLike) -> Array:
     if start not in STARTS:
         raise ValueError(f"start must be one of {', '.join(map(repr, STARTS))}, or a state (6,); got {start!r}.")
     return STARTS[start].copy()
-
-
-def _check(
-    rig: Rig,
-    objective: str,
-    duration: float,
-    smoothing: float,
-    track_margin: float,
-    force_margin: float,
-    starts: int,
-    solver: str,
-) -> None:
-    checked_name("objective", objective, ("effort", "time"))
-    checked_name("solver", solver, ("auto", "fatrop", "ipopt"))
-    samples = duration / rig.sample_time if is_finite(duration) else 0.0
-    if abs(samples - round(samples)) > 1e-6 or round(samples) < 8:
-        raise ValueError(
-            f"duration must be a whole number of samples of {rig.sample_time:g} s, at least 8; got {duration!r} s."
-        )
-    if not (is_finite(smoothing) and smoothing >= 0):
-        raise ValueError(f"smoothing must be finite and at least 0 s; got {smoothing!r}.")
-    for name, margin, limit, unit in (
-        ("track_margin", track_margin, rig.track_limit, "m"),
-        ("force_margin", force_margin, rig.force_limit, "N"),
-    ):
-        if not (is_finite(margin) and 0 <= margin < limit):
-            raise ValueError(f"{name} must be at least 0 and less than the limit of {limit:g} {unit}; got {margin!r}.")
-    checked_whole("starts", starts)
 
 
 def _ends(begin: Array, target: str | npt.ArrayLike, guess: Trajectory | None) -> list[Array]:
@@ -329,8 +295,8 @@ def _guesses(
         yield _Guess(moved, base.u, f"{base.words}, moved at random ({i})")
 
 
-def _solve(
-    made: _Program,
+def _solved(
+    solve: NLPSolver,
     rig: Rig,
     objective: Objective,
     begin: Array,
@@ -339,49 +305,39 @@ def _solve(
     unit: float,
     track_margin: float,
     force_margin: float,
-) -> _Found | str:
+) -> Trajectory | str:
     """Return what one guess leads to, or what went wrong."""
     N, h = len(guess.u), rig.sample_time
     force = float(rig.force_limit) - force_margin
     track = float(rig.track_limit) - track_margin
-    high = np.full((N + 1, made.width), np.inf)
+    width = 9 if objective == "time" else 8
+    high = np.full((N + 1, width), np.inf)
     high[:, 0], high[:, -1], high[:, 6] = track, force / unit, force / unit
     low = -high
     low[0, :6] = high[0, :6] = begin
     low[0, 6] = high[0, 6] = 0.0
     low[-1, :6] = high[-1, :6] = end
-    first = np.zeros((N + 1, made.width))
+    first = np.zeros((N + 1, width))
     first[:, :6] = guess.x
     first[:-1, -1] = guess.u / unit
     first[1:, 6] = guess.u / unit
     if objective == "time":
         low[:, 7], high[:, 7], first[:, 7] = 0.1, 1.5, 0.8
-    answer = made.solve(
+    answer = solve(
         patience=_PATIENCE, x0=first.ravel()[:-1], lbx=low.ravel()[:-1], ubx=high.ravel()[:-1], lbg=0.0, ubg=0.0
     )
     if not answer.success:
         return answer.status
-    rows = np.append(answer.x, 0.0).reshape(N + 1, made.width)
+    rows = np.append(answer.x, 0.0).reshape(N + 1, width)
     step = h * float(rows[0, 7]) if objective == "time" else h
     forces = np.clip(unit * rows[:-1, -1], -force, force)
     x = rows[:, :6].copy()
     x[0], x[-1] = begin, end
-    about = {
-        "cost": answer.cost,
-        "iterations": answer.iterations,
-        "first guess": guess.words,
-        "samples": N,
-    }
-    own = Rig(
-        params=rig.params,
-        sample_time=step,
-        substeps=rig.substeps,
-        force_limit=rig.force_limit,
-        track_limit=rig.track_limit,
-    )
+    about = {"cost": answer.cost, "iterations": answer.iterations, "first guess": guess.words, "samples": N}
+    own = ideal_rig(rig).replace(sample_time=step, force_limit=rig.force_limit, track_limit=rig.track_limit)
     trajectory = Trajectory(rig=own, x=x, u=forces, target=end, about=about)
     wrong = violations(trajectory, track_margin=track_margin)
-    return _Found(trajectory, answer.cost) if not wrong else f"not holding in the simulator ({wrong})"
+    return trajectory if not wrong else f"not holding in the simulator ({wrong})"
 
 
 def violations(trajectory: Trajectory, *, track_margin: float = 0.0) -> str:
