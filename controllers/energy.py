@@ -7,7 +7,6 @@ steers the state to upright, and what comes near must be caught (:class:`control
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +22,54 @@ from dpend.state import state_rows
 from .wrapping import holding
 
 
+class _EnergyLaw:
+    """What both laws share: the rig, the energy of upright at rest, and a push for what hangs at rest."""
+
+    name: str
+    _gains: tuple[str, ...]
+
+    def __init__(self, rig: Rig | str, perturbation: float | None) -> None:
+        law = type(self).__name__
+        self.rig = rig = single_rig(rig, law)
+        c = rig.params.coefficients()
+        self.energy = float(c.f1 + c.f2)
+        if not self.energy > 0:
+            raise ValueError(
+                f"{law} lifts the links against gravity; got a rig without, gravity={rig.params.gravity!r}."
+            )
+        if perturbation is None:
+            perturbation = 0.1 * float(c.d1) * float(rig.params.gravity)
+        if not is_finite(perturbation):
+            raise ValueError(f"perturbation must be a finite force in N; got {perturbation!r}.")
+        self.perturbation = float(perturbation)
+        unlimited = not math.isfinite(float(rig.track_limit))
+        self._reach = float(c.length1 + c.length2) if unlimited else float(rig.track_limit)  # how far the cart may go
+
+    def __repr__(self) -> str:
+        return f"<{self.name}, {', '.join(f'{gain} = {getattr(self, gain):.4g}' for gain in self._gains)}>"
+
+    def force(self, x: npt.ArrayLike) -> Array:
+        """Return the law's answer to states ``(..., 6)``, N."""
+        raise NotImplementedError
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Return the law for ``n`` runs, which is memoryless but for its first sample."""
+        began = False
+
+        def act(_: float, y: Array) -> Array:
+            nonlocal began
+            u = self.force(y)
+            if not began:
+                began = True
+                hanging = energies(y, self.rig.params).total < -(1 - 1e-4) * self.energy
+                u = np.where(hanging, self.perturbation, u)
+            return u
+
+        return holding(n, act)
+
+
 @renamed_arguments(kick="perturbation")
-class EnergySwingUp:
+class EnergySwingUp(_EnergyLaw):
     r"""Law :math:`F = -(k_v\alpha + k_x p + k_d\dot p)/(k_E(E - E_r) + k_v\beta)`, shaping energy by passivity.
 
     The cart's acceleration is :math:`\ddot p = \beta F + \alpha`.  Without friction :math:`\dot E = F\dot p`, so
@@ -71,6 +116,7 @@ class EnergySwingUp:
     """
 
     name = "energy swing-up"
+    _gains = ("k_energy", "k_velocity", "k_x", "k_d")
 
     def __init__(
         self,
@@ -82,7 +128,7 @@ class EnergySwingUp:
         k_d: float | None = None,
         perturbation: float | None = None,
     ) -> None:
-        self.rig, self.energy = _checked_rig(rig, "EnergySwingUp")
+        super().__init__(rig, perturbation)
         c = self.rig.params.coefficients()
         self.k_energy = checked_positive("k_energy", 1 / self.energy**2 if k_energy is None else k_energy)
         least = 2 * self.k_energy * self.energy * float(c.d1)
@@ -94,13 +140,8 @@ class EnergySwingUp:
                 f"Er = {self.energy:g} J that is {self.k_velocity / c.d1:g} > {least / c.d1:g}; "
                 f"let k_velocity be greater than {least:g}."
             )
-        self.k_x = checked_positive("k_x", 20 / _reach(self.rig) ** 2 if k_x is None else k_x)
+        self.k_x = checked_positive("k_x", 20 / self._reach**2 if k_x is None else k_x)
         self.k_d = checked_positive("k_d", 0.06 * math.sqrt(self.k_x * self.k_velocity) if k_d is None else k_d)
-        self.perturbation = _checked_perturbation(self.rig, perturbation)
-
-    def __repr__(self) -> str:
-        gains = ", ".join(f"{name} = {getattr(self, name):.4g}" for name in ("k_energy", "k_velocity", "k_x", "k_d"))
-        return f"<energy swing-up, {gains}>"
 
     def lyapunov(self, x: npt.ArrayLike) -> Array:
         r"""Return :math:`V` of states ``(..., 6)``, which no unlimited and unheld force of this law lets rise."""
@@ -116,13 +157,9 @@ class EnergySwingUp:
         wanted = self.k_velocity * alpha + self.k_x * x[..., 0] + self.k_d * x[..., 3]
         return -wanted / (self.k_energy * missing + self.k_velocity * beta)
 
-    def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Return the law for ``n`` runs."""
-        return holding(n, _perturbed(self.force, self.perturbation, self.rig, self.energy))
-
 
 @renamed_arguments(kick="perturbation")
-class EnergyPump:
+class EnergyPump(_EnergyLaw):
     r"""Cart acceleration :math:`a = a_\max\,\mathrm{sat}\big(\kappa\,\mu\,(E_l - E_r)/E_r\big) - k_x p - k_d\dot p`.
 
     :math:`E_l` is the energy of the links seen from the cart and :math:`\mu = d_2\omega_1\cos\theta_1 +
@@ -144,8 +181,7 @@ class EnergyPump:
     k_d : float
         :math:`k_d`, 1/s, greater than zero; left out, :math:`\sqrt{k_x}`.
     perturbation : float
-        Force of the first sample, N, for a run that starts hanging at rest, where the law answers zero for ever; left
-        out, a tenth of the weight of everything.
+        See :class:`EnergySwingUp`.
 
     Attributes
     ----------
@@ -164,6 +200,7 @@ class EnergyPump:
     """
 
     name = "energy pumping"
+    _gains = ("acceleration", "gain", "k_x", "k_d")
 
     def __init__(
         self,
@@ -175,19 +212,14 @@ class EnergyPump:
         k_d: float | None = None,
         perturbation: float | None = None,
     ) -> None:
-        self.rig, self.energy = _checked_rig(rig, "EnergyPump")
+        super().__init__(rig, perturbation)
         c = self.rig.params.coefficients()
         gravity = float(self.rig.params.gravity)
         self.acceleration = checked_positive("acceleration", gravity if acceleration is None else acceleration)
         fall = math.sqrt((float(c.length1) + float(c.length2)) / gravity)
         self.gain = checked_positive("gain", 5 * fall / float(c.d2 + c.d3) if gain is None else gain)
-        self.k_x = checked_positive("k_x", gravity / _reach(self.rig) if k_x is None else k_x)
+        self.k_x = checked_positive("k_x", gravity / self._reach if k_x is None else k_x)
         self.k_d = checked_positive("k_d", math.sqrt(self.k_x) if k_d is None else k_d)
-        self.perturbation = _checked_perturbation(self.rig, perturbation)
-
-    def __repr__(self) -> str:
-        gains = ", ".join(f"{name} = {getattr(self, name):.4g}" for name in ("acceleration", "gain", "k_x", "k_d"))
-        return f"<energy pumping, {gains}>"
 
     def links_energy(self, x: npt.ArrayLike) -> Array:
         """Return the energy of the links seen from the cart, J, of states ``(..., 6)``."""
@@ -206,10 +238,6 @@ class EnergyPump:
         pumping = self.acceleration * np.clip(self.gain * self.momentum(x) * missing, -1.0, 1.0)
         return (pumping - self.k_x * x[..., 0] - self.k_d * x[..., 3] - alpha) / beta
 
-    def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Return the law for ``n`` runs."""
-        return holding(n, _perturbed(self.force, self.perturbation, self.rig, self.energy))
-
 
 def _cart_response(x: Array, rig: Rig) -> tuple[Array, Array]:
     r"""Return :math:`\alpha`, :math:`\beta` of :math:`\ddot p = \beta F + \alpha`; the plant is affine in the force."""
@@ -222,42 +250,3 @@ def _moving_at(x: npt.ArrayLike, speed: float) -> Array:
     moving = state_rows("x", x).copy()
     moving[..., 3] = speed
     return moving
-
-
-def _perturbed(force: Callable[[Array], Array], perturbation: float, rig: Rig, energy: float) -> Act:
-    """Return a memoryless law that perturbs in its first sample what hangs at rest."""
-    began = False
-
-    def act(_: float, y: Array) -> Array:
-        nonlocal began
-        u = force(y)
-        if not began:
-            began = True
-            u = np.where(energies(y, rig.params).total < -(1 - 1e-4) * energy, perturbation, u)
-        return u
-
-    return act
-
-
-def _reach(rig: Rig) -> float:
-    """Return how far the cart may go, m: to the track's end, or the length of both links where it has none."""
-    c = rig.params.coefficients()
-    return float(rig.track_limit) if math.isfinite(float(rig.track_limit)) else float(c.length1 + c.length2)
-
-
-def _checked_rig(rig: Rig | str, law: str) -> tuple[Rig, float]:
-    """Return the rig, and the energy of upright at rest."""
-    rig = single_rig(rig, law)
-    c = rig.params.coefficients()
-    energy = float(c.f1 + c.f2)
-    if not energy > 0:
-        raise ValueError(f"{law} lifts the links against gravity; got a rig without, gravity={rig.params.gravity!r}.")
-    return rig, energy
-
-
-def _checked_perturbation(rig: Rig, perturbation: float | None) -> float:
-    if perturbation is None:
-        return 0.1 * float(rig.params.coefficients().d1) * float(rig.params.gravity)
-    if not is_finite(perturbation):
-        raise ValueError(f"perturbation must be a finite force in N; got {perturbation!r}.")
-    return float(perturbation)

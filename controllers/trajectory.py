@@ -81,13 +81,7 @@ class Trajectory:
         return float(np.abs(stepper.step(self.u) - self.x[1:]).max())
 
     def save(self, path: str | Path) -> Path:
-        """Write the trajectory as a compressed ``.npz`` of plain arrays; nothing in it can run code.
-
-        Returns
-        -------
-        Path
-            The file; ``.npz`` is added where the name has no suffix.
-        """
+        """Write a compressed ``.npz`` of plain arrays and return its path; ``.npz`` is added where it has no suffix."""
         header = {"rig": self.rig.to_dict(), "about": dict(self.about)}
         return archive.write(path, _FORMAT, header, {"x": self.x, "u": self.u, "target": self.target})
 

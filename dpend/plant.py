@@ -97,20 +97,13 @@ def energies(x: npt.ArrayLike, params: Params) -> Energies:
 
     Parameters
     ----------
-    x : array_like
-        States ``(..., 6)``.
-    params : Params
-        The plant.
+    x, params
+        See :func:`rates`, also for what is refused.
 
     Returns
     -------
     Energies
         ``kinetic`` and ``potential``, each ``(...)``; ``total`` is their sum.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As :func:`rates`.
     """
     x, c = state_rows("x", x, complex_too=True), checked_params("energies", params).coefficients()
     try:
@@ -124,20 +117,13 @@ def positions(x: npt.ArrayLike, params: Params) -> Positions:
 
     Parameters
     ----------
-    x : array_like
-        States ``(..., 6)``.
-    params : Params
-        The plant.
+    x, params
+        See :func:`rates`, also for what is refused.
 
     Returns
     -------
     Positions
         ``x_joint``, ``y_joint``, ``x_tip``, ``y_tip``, each ``(...)``.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As :func:`rates`.
     """
     x, c = state_rows("x", x, complex_too=True), checked_params("positions", params).coefficients()
     try:

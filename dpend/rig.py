@@ -235,22 +235,9 @@ class Rig:
         return cls(params=Params(**record["params"]), **own)
 
     def to_toml(self, path: str | Path) -> Path:
-        """Write the rig as TOML: its own fields first, then the plant's under ``[params]``.
+        """Write the rig as TOML, to its end or not at all, and return the path.
 
-        Parameters
-        ----------
-        path : str or Path
-            Where to; the file is written to its end or not at all.
-
-        Returns
-        -------
-        Path
-            The file.
-
-        Raises
-        ------
-        OSError
-            If it cannot be written.
+        The rig's own fields stand first, then the plant's under ``[params]``.  An OSError says why nothing was written.
         """
         path = Path(path)
         lines = [*_toml_lines(self._own()), "", "[params]", *_toml_lines(self.params.to_dict())]
@@ -260,12 +247,7 @@ class Rig:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Rig:
-        """Return the rig that a TOML file describes; fields with defaults may be left out.
-
-        Parameters
-        ----------
-        path : str or Path
-            The file, laid out as :meth:`to_toml` does it; SI units.
+        """Return the rig that a TOML file describes as :meth:`to_toml` does; fields with defaults may be left out.
 
         Raises
         ------

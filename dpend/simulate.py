@@ -107,7 +107,7 @@ def simulate_many(
     x0 : array_like (N, 6)
         The initial states.
     controller, duration, task, push
-        See :func:`simulate`; a push may be ``(N, 3)``.
+        See :func:`simulate`, also for what is raised; a push may be ``(N, 3)``.
     seed : int
         What the disturbances are drawn from: row ``i`` from ``(seed, first_row + i)``.
     first_row : int
@@ -116,13 +116,6 @@ def simulate_many(
         Keep true and measured states, ``2 * 48`` bytes a row and sample; forces are always kept.
     workers : int
         Processes that share the rows of a controller which treats one run at a time.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Before anything runs, if an argument is wrong.
-    LawError
-        If the law fails while it runs; the error keeps the runs so far.
     """
     rig = as_rig(rig)
     controller = as_controller(controller)
