@@ -64,18 +64,8 @@ class NLPSolver:
     """A solver: a function of what ``casadi.nlpsol`` takes, ``x0``, ``p``, ``lbx``, ``ubx``, ``lbg`` and ``ubg``.
 
     CasADi's solver remembers: give every run a fresh one, so that runs neither meet in threads nor depend on earlier
-    ones.
-
-    Parameters
-    ----------
-    make : callable
-        Returns a new solver of CasADi's, given a function that IPOPT calls after each iteration.
-    sizes : dict
-        Of the program's ``x``, ``g`` and ``p``.
-    plugin : {"fatrop", "ipopt"}
-        Which solver it is.
-    backend : str
-        The solver and what evaluates the problem's functions, in words.
+    ones.  ``make`` returns a new one, given what IPOPT is to call after each iteration; ``sizes`` are those of the
+    program's ``x``, ``g`` and ``p``; ``plugin`` is "fatrop" or "ipopt"; ``backend`` says in words what evaluates it.
     """
 
     def __init__(self, make: Callable[[_Stop], Any], sizes: Mapping[str, int], plugin: str, backend: str) -> None:
@@ -90,15 +80,10 @@ class NLPSolver:
         return NLPSolver(self._make, self._sizes, self.plugin, self.backend)
 
     def __call__(self, *, patience: float | None = None, **arguments: Any) -> Solution:
-        """Return what one solve leads to; an error in it is a failure that says so.
+        """Return what one solve leads to, given arguments of ``casadi.nlpsol``; an error is a failure that says so.
 
-        Parameters
-        ----------
-        patience : float, optional
-            Seconds after which a solve is abandoned; left out, there is no limit.  Fatrop corrects the inertia of
-            what is not finite for ever, and cannot be ended: what is left of it goes on in its thread.
-        **arguments : array_like
-            As ``casadi.nlpsol`` takes them.
+        A solve is abandoned after ``patience`` seconds, if given.  Fatrop corrects the inertia of what is not finite
+        for ever, and cannot be ended: what is left of it goes on in its thread.
         """
         if self._solve is None:
             stop = _Stop(self._sizes)

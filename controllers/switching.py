@@ -13,7 +13,7 @@ from dpend.controller import Act, Controller, Law, as_controller, is_batched, na
 from dpend.deprecation import renamed_arguments
 from dpend.params import Array
 from dpend.plant import energies
-from dpend.rig import Rig, as_rig, single_rig
+from dpend.rig import Rig, as_rig, ideal_rig, single_rig
 from dpend.state import as_equilibrium, deviation
 from dpend.stepper import Stepper
 
@@ -185,9 +185,7 @@ class RolloutRegion:
             duration = 8 * math.sqrt(float(c.length1 + c.length2) / max(float(rig.params.gravity), 1.0))
         self.duration = checked_positive("duration", duration, "s")
         self.within = checked_positive("within", within, "rad")
-        self.rig = rig.replace(
-            actuator_lag=0.0, actuator_delay=0, force_noise=0.0, sensor_delay=0, sensor_noise=0.0, resolution=0.0
-        )
+        self.rig = ideal_rig(rig, limits=True)
         self.target = as_equilibrium(target)
 
     def __repr__(self) -> str:

@@ -334,7 +334,7 @@ def _solved(
     x = rows[:, :6].copy()
     x[0], x[-1] = begin, end
     about = {"cost": answer.cost, "iterations": answer.iterations, "first guess": guess.words, "samples": N}
-    own = ideal_rig(rig).replace(sample_time=step, force_limit=rig.force_limit, track_limit=rig.track_limit)
+    own = ideal_rig(rig, limits=True).replace(sample_time=step)
     trajectory = Trajectory(rig=own, x=x, u=forces, target=end, about=about)
     wrong = violations(trajectory, track_margin=track_margin)
     return trajectory if not wrong else f"not holding in the simulator ({wrong})"

@@ -27,19 +27,8 @@ def with_logs(act: Act, *logs: MutableMapping[str, Any]) -> Act:
 class Wrapper:
     """A controller around another: batched if that is, with its log, under a name made from its name.
 
-    A subclass says in ``_around`` what becomes of the wrapped law.
-
-    Parameters
-    ----------
-    controller : Controller or callable
-        What is wrapped; a plain function ``law(t, x)`` of one state will do.
-    name : str
-        The new name, with ``{}`` where that of the wrapped controller stands.
-
-    Raises
-    ------
-    TypeError
-        If it is no controller.
+    A subclass says in ``_around`` what becomes of the wrapped law, which may be a plain function ``law(t, x)`` of one
+    state; in ``name``, ``{}`` stands for its name.
     """
 
     def __init__(self, controller: Controller | Law, name: str) -> None:

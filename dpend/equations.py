@@ -22,15 +22,8 @@ def make_rates(sin, cos):
 
     The cart is eliminated first, so what is left to invert is the 2 x 2 matrix of the links.
 
-    Parameters
-    ----------
-    sin, cos : callable
-        Sine and cosine for the kind of number the result is to take.
-
-    Returns
-    -------
-    callable
-        ``rates(x, f, c)``: six time derivatives, given state, generalised forces and coefficients.
+    ``rates(x, f, c)`` returns six time derivatives, given state, generalised forces and coefficients; ``sin`` and
+    ``cos`` are those for the kind of number that the result is to take.
     """
 
     def rates(x, f, c):
@@ -74,16 +67,8 @@ def make_acceleration_slopes(sin, cos):
     Here :math:`D\ddot q = r` are the equations of :func:`make_rates`, which alone say what the plant is.  This is their
     derivative for planners that need it a million times a second; a test holds it to the complex step.
 
-    Parameters
-    ----------
-    sin, cos : callable
-        Sine and cosine for the kind of number the result is to take.
-
-    Returns
-    -------
-    callable
-        ``slopes(x, accelerations, c)``: for each of ``(th1, th2, vel, om1, om2, force on the cart)`` the three slopes
-        of the accelerations ``(acc, al1, al2)``, given state, accelerations and coefficients.
+    ``slopes(x, accelerations, c)`` returns for each of ``(th1, th2, vel, om1, om2, force on the cart)`` the three
+    slopes of the accelerations ``(acc, al1, al2)``, given state, accelerations and coefficients.
     """
 
     def slopes(x, accelerations, c):

@@ -183,18 +183,8 @@ def _forces_at(block, j):
 def plant_step(x, f, coefficients, h, substeps):
     r"""Advance states in place by ``substeps`` Runge-Kutta steps of :math:`\dot x = \mathrm{rates}(x, f, c)`.
 
-    Parameters
-    ----------
-    x : ndarray (n, 6)
-        States, C-contiguous; overwritten.
-    f : ndarray (n, 3)
-        Generalised forces, held.
-    coefficients : ndarray (1, 15) or (n, 15)
-        Rows of :class:`~dpend.params.Coefficients`: one for all, or one each.
-    h : float
-        Length of a Runge-Kutta step, s.
-    substeps : int
-        Number of them.
+    ``x`` are states ``(n, 6)``, C-contiguous; ``f`` the generalised forces ``(n, 3)``, held; ``coefficients`` rows of
+    :class:`~dpend.params.Coefficients`, ``(1, 15)`` for all or ``(n, 15)``, one each; ``h`` the length of a step, s.
     """
     n = x.shape[0]
     shared = coefficients.shape[0] == 1

@@ -10,7 +10,6 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,14 +31,6 @@ _MOST_TURNS = 100.0  # a link that has turned so far is counted in other units
 _FIT = 7  # samples that a rate is fitted to
 
 
-class Recording(NamedTuple):
-    """States ``(T + 1, 6)`` at the samples, and the forces ``(T,)`` held between them."""
-
-    t: Array
-    x: Array
-    u: Array
-
-
 def read_recording(
     path: str | Path,
     rig: Rig,
@@ -54,8 +45,11 @@ def read_recording(
     tolerance: float,
     resample: bool,
     any_size: bool,
-) -> Recording:
-    """Read what ``Run.from_csv`` is given; its documentation says what each argument is, and what is refused."""
+) -> tuple[Array, Array, Array]:
+    """Return times, states ``(T + 1, 6)`` and held forces ``(T,)`` of a table.
+
+    ``Run.from_csv`` documents what each argument is, and what is refused.
+    """
     per_angle = _radians(angle_unit)
     for name, unit in (("position_unit", position_unit), ("force_unit", force_unit)):
         if not (is_finite(unit) and unit != 0):
@@ -78,28 +72,21 @@ def read_recording(
     else:
         _check_clock(path, table["t"], rig.sample_time, tolerance)
 
-    angles = np.stack([table["th1"], table["th2"]])
-    rates: dict[str, Array] = {}
-    if "vel" in table:
-        rates["vel"] = position_unit * table["vel"]
-    for i, name in enumerate(("om1", "om2")):
-        if name in table:
-            rates[name] = per_angle[i] * table[name]
+    units = {"pos": position_unit, "vel": position_unit, "om1": per_angle[0], "om2": per_angle[1]}
+    motion = {name: units.get(name, 1.0) * table[name] for name in NAMES if name in table}
     if zero == "down":
-        angles[0] += np.pi
-        if not relative:
-            angles[1] += np.pi
+        motion["th1"] += np.pi
+        motion["th2"] += 0.0 if relative else np.pi
     if relative:
-        angles[1] += angles[0]
-        if "om2" in rates and "om1" in rates:
-            rates["om2"] = rates["om2"] + rates["om1"]
+        motion["th2"] += motion["th1"]
+        if "om1" in motion and "om2" in motion:
+            motion["om2"] += motion["om1"]
         else:
-            rates.pop("om2", None)
-    positions = {"pos": position_unit * table["pos"], "th1": angles[0], "th2": angles[1]}
-    for name, rate in (("pos", "vel"), ("th1", "om1"), ("th2", "om2")):
-        if rate not in rates:
-            rates[rate] = fitted_rates(positions[name], rig.sample_time)
-    x = np.stack([(positions | rates)[name] for name in NAMES], axis=1)
+            motion.pop("om2", None)
+    for name, rate in zip(NAMES[:3], NAMES[3:], strict=True):
+        if rate not in motion:
+            motion[rate] = fitted_rates(motion[name], rig.sample_time)
+    x = np.stack([motion[name] for name in NAMES], axis=1)
     steps = len(x) - 1
     if headings["u"] is None and "command" not in table:
         u = np.zeros(steps)
@@ -110,7 +97,7 @@ def read_recording(
         raise ValueError(f"{path} holds numbers beyond all bounds in these units: look at the units.")
     if not any_size:
         _check_sizes(path, x, u, rig)
-    return Recording(rig.sample_time * np.arange(steps + 1, dtype=np.float64), x, u)
+    return rig.sample_time * np.arange(steps + 1, dtype=np.float64), x, u
 
 
 def _resampled(path: str | Path, table: dict[str, Array], sample_time: float) -> dict[str, Array]:

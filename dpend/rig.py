@@ -40,7 +40,11 @@ def _checked_limit(name: str, value: object, unit: str) -> Number:
     return frozen(array)
 
 
-def _checked_samples(name: str, value: object) -> Count:
+def _checked_at_least_zero(name: str, value: object, unit: str) -> Number:
+    return checked_number(name, value, unit, 0.0, True)
+
+
+def _checked_samples(name: str, value: object, _: str) -> Count:
     array = _numbers(value)
     if (
         array.ndim > 1
@@ -56,7 +60,7 @@ def _checked_samples(name: str, value: object) -> Count:
     return samples if samples.ndim else int(samples)
 
 
-def _checked_per_state(name: str, value: object) -> Number:
+def _checked_per_state(name: str, value: object, _: str) -> Number:
     """Check a number for all six states, or an array (6,), (N, 1) or (N, 6)."""
     array = _numbers(value)
     shape_good = array.ndim == 0 or array.shape == (6,) or (array.ndim == 2 and array.shape[1] in (1, 6))
@@ -137,20 +141,11 @@ class Rig:
         sample_time = checked_number("sample_time", self.sample_time, "s", 0.0, False)
         if not isinstance(sample_time, float):
             raise TypeError("sample_time must be a single number: all rows of a batch share one clock.")
-        checked = {
-            "sample_time": sample_time,
-            "substeps": self._stable_substeps(sample_time, checked_whole("substeps", self.substeps)),
-            "force_limit": _checked_limit("force_limit", self.force_limit, "N"),
-            "track_limit": _checked_limit("track_limit", self.track_limit, "m"),
-            "actuator_lag": checked_number("actuator_lag", self.actuator_lag, "s", 0.0, True),
-            "actuator_delay": _checked_samples("actuator_delay", self.actuator_delay),
-            "force_noise": checked_number("force_noise", self.force_noise, "N", 0.0, True),
-            "sensor_delay": _checked_samples("sensor_delay", self.sensor_delay),
-            "sensor_noise": _checked_per_state("sensor_noise", self.sensor_noise),
-            "resolution": _checked_per_state("resolution", self.resolution),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "sample_time", sample_time)
+        least = checked_whole("substeps", self.substeps)
+        object.__setattr__(self, "substeps", self._stable_substeps(sample_time, least))
+        for name, (unit, checked) in _FIELDS.items():
+            object.__setattr__(self, name, checked(name, getattr(self, name), unit))
         self.n  # noqa: B018  (raises where array lengths differ)
 
     def _stable_substeps(self, sample_time: float, least: int) -> int:
@@ -180,15 +175,7 @@ class Rig:
     @property
     def ideal(self) -> bool:
         """Whether actuator and sensors are perfect: no lag, delay, noise or rounding."""
-        imperfections = (
-            self.actuator_lag,
-            self.actuator_delay,
-            self.force_noise,
-            self.sensor_delay,
-            self.sensor_noise,
-            self.resolution,
-        )
-        return not any(np.any(value) for value in imperfections)
+        return not any(np.any(getattr(self, name)) for name in _IMPERFECTIONS)
 
     def replace(self, **changes: Any) -> Rig:
         """Return a rig with some fields of its own or of its ``params`` changed.
@@ -272,7 +259,8 @@ class Rig:
             raise ValueError(f"{path} describes no rig: {str(error).rstrip('.')}.") from error
 
     def _repr_html_(self) -> str:
-        rows = {name: (value, _UNITS.get(name, "")) for name, value in self._own().items()}
+        units = {"sample_time": "s"} | {name: unit for name, (unit, _) in _FIELDS.items()}
+        rows = {name: (value, units.get(name, "")) for name, value in self._own().items()}
         rows |= {name: (value, unit_of(name)) for name, value in self.params.to_dict().items() if value is not None}
         cells = (f"<tr><th>{name}</th><td>{value}</td><td>{unit}</td></tr>" for name, (value, unit) in rows.items())
         return f"<table>{''.join(cells)}</table>"
@@ -289,15 +277,18 @@ class Rig:
     __hash__ = None  # type: ignore[assignment]  # a field may be an array
 
 
-_UNITS = {
-    "sample_time": "s",
-    "force_limit": "N",
-    "track_limit": "m",
-    "actuator_lag": "s",
-    "actuator_delay": "samples",
-    "force_noise": "N",
-    "sensor_delay": "samples",
+# unit, and what checks a value
+_FIELDS: dict[str, tuple[str, Callable[..., Any]]] = {
+    "force_limit": ("N", _checked_limit),
+    "track_limit": ("m", _checked_limit),
+    "actuator_lag": ("s", _checked_at_least_zero),
+    "actuator_delay": ("samples", _checked_samples),
+    "force_noise": ("N", _checked_at_least_zero),
+    "sensor_delay": ("samples", _checked_samples),
+    "sensor_noise": ("", _checked_per_state),
+    "resolution": ("", _checked_per_state),
 }
+_IMPERFECTIONS = tuple(name for name in _FIELDS if not name.endswith("limit"))
 _PLANT_FIELDS = {field.name for field in fields(Params)}
 
 
@@ -469,6 +460,7 @@ def single_rig(rig_or_name: Rig | str, what: str) -> Rig:
     return rig
 
 
-def ideal_rig(rig: Rig) -> Rig:
-    """Return the plant with its clock and nothing in between: no limits, lag, delays, noise or rounding."""
-    return Rig(params=rig.params, sample_time=rig.sample_time, substeps=rig.substeps)
+def ideal_rig(rig: Rig, *, limits: bool = False) -> Rig:
+    """Return the plant with its clock and nothing in between but for limits: no lag, delays, noise or rounding."""
+    kept: dict[str, Any] = {"force_limit": rig.force_limit, "track_limit": rig.track_limit} if limits else {}
+    return Rig(params=rig.params, sample_time=rig.sample_time, substeps=rig.substeps, **kept)

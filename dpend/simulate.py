@@ -217,8 +217,7 @@ def _simulate_block(
     forces = np.full((samples, n), np.nan)
     seconds = np.full(samples, np.nan)
     pushes = None if push is None else np.full((samples, n, 3), np.nan)
-    true = np.full((samples + 1, n, 6), np.nan) if record else None
-    measured = np.full((samples + 1, n, 6), np.nan) if record else None
+    states_kept = np.full((2, samples + 1, n, 6), np.nan) if record else None  # true and measured
     codes = task.ended(x0, rig)
     steps = np.where(codes != 0, 0, samples)
     final = x0.copy()
@@ -226,8 +225,8 @@ def _simulate_block(
     alive = codes == 0
     upright = UprightClock(task, rig, n)
     upright.begin(x0)
-    if true is not None and measured is not None:
-        true[0], measured[0] = x0, y
+    if states_kept is not None:
+        states_kept[:, 0] = x0, y
     if not alive.all():
         y[~alive] = stepper.reset(np.zeros(6), ~alive)
     u = np.zeros(n)
@@ -263,8 +262,8 @@ def _simulate_block(
         if pushes is not None:
             pushes[k] = pushed
         np.fmax(travel, np.abs(x[:, 0]), out=travel, where=alive)  # noise and pushes move what is parked
-        if true is not None and measured is not None:
-            true[k + 1], measured[k + 1] = x, y
+        if states_kept is not None:
+            states_kept[:, k + 1] = x, y
         upright.tick(x)
         ended = task.ended(x, rig)
         ending = alive & (ended != 0)
@@ -276,9 +275,9 @@ def _simulate_block(
             y[ending] = stepper.reset(np.zeros(6), ending)
     after_end = np.arange(samples)[:, None] >= steps
     forces[after_end] = np.nan
-    if true is not None and measured is not None:
-        true[1:][after_end] = np.nan
-        measured[1:][after_end] = np.nan
+    if states_kept is not None:
+        states_kept[:, 1:][:, after_end] = np.nan
+    true, measured = (None, None) if states_kept is None else states_kept.transpose(0, 2, 1, 3)
     final[alive] = stepper.x[alive]
     success = upright.success(codes)
     log = _log(act, n, samples, after_end, not_finite)
@@ -301,8 +300,8 @@ def _simulate_block(
         task=repr(task),
         seed=seed,
         first_row=first,
-        x=None if true is None else true.transpose(1, 0, 2),
-        y=None if measured is None else measured.transpose(1, 0, 2),
+        x=true,
+        y=measured,
     )
     if cause is None:
         return runs
