@@ -26,7 +26,7 @@ from controllers.trajopt import STARTS, _ends, _guesses
 from dpend import EQUILIBRIA, Stepper, symbolic
 
 RIG = dpend.rig("gustafsson2016")
-SHIPPED = sorted(FOLDER.glob("*.npz"))
+SHIPPED = sorted(file for file in FOLDER.glob("*.npz") if "_tuned_" not in file.name)
 
 
 @cache
