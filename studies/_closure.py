@@ -3,6 +3,10 @@
 The walk begins at some definitions of a study and follows names: to other definitions of the studies, one by one, and
 to modules of the other packages, whole.  Imports count wherever they stand, also within functions; what only type
 checkers see does not, nor do docstrings, comments, annotations, layout, and modules that draw.
+
+The walk stops at a table of contenders, a tuple of ``Contender(name="LQR", ...)``.  Of its entries those count whose
+names are words of the job or literals in the definitions that were reached in the studies, and all if there is none.
+So it is with the policies that are shipped.  While a job is done, no other contender can be looked up.
 """
 
 from __future__ import annotations
@@ -13,6 +17,8 @@ import re
 import sys
 import sysconfig
 from collections.abc import Iterable, Iterator
+from contextvars import ContextVar
+from copy import copy
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,8 +28,13 @@ from typing import NamedTuple
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("dpend", "controllers", "rl", "studies")
 
-_DATA = {"controllers.data": "controllers/data/*.npz", "rl.policies": "rl/trained/*.npz"}
+covered: ContextVar[frozenset[str] | None] = ContextVar("covered", default=None)
+"""Names of the contenders that may be looked up: while a job is done, those in its key; None for any."""
+
+_DATA = {"controllers.data": "controllers/data/*.npz"}
 """What is shipped beside a module and read by it."""
+_POLICIES = "rl/trained/*.npz"
+"""What ``load_policy`` reads, by name."""
 _SHOWN_ONLY = frozenset({"style", "prior_knowledge"})
 """Keywords that only figures and tables read."""
 _ASIDE = frozenset({"dpend.draw", "studies._closure", "studies._own", "studies._runner"})
@@ -40,25 +51,17 @@ class Binding(NamedTuple):
     name: str | None
 
 
-@cache
-def source_hash(module: str, names: tuple[str, ...] = ("run", "Job"), root: Path = ROOT) -> str:
-    """Return a hash of all code and data that definitions of a module depend on.
+class Entry(NamedTuple):
+    """A contender's name, and where it is defined: in a module, under a label such as ``CONTENDERS[LQR]``."""
 
-    Parameters
-    ----------
-    module : str
-        The module's name, such as ``"studies.lambda_sweep"``.
-    names : tuple of str
-        Definitions in it at which the walk begins.
-    root : Path
-        The folder that holds the packages.
+    contender: str
+    module: str
+    label: str
 
-    Returns
-    -------
-    str
-        Sixteen hexadecimal digits.
-    """
-    return combined(closure(module, names, root))
+
+def source_hash(module: str, words: frozenset[str] | None = None, root: Path = ROOT) -> str:
+    """Return a hash of all that ``run`` and ``Job`` of a study depend on, see :func:`closure`: sixteen digits."""
+    return combined(closure(module, ("run", "Job"), words, root)[0])
 
 
 def combined(parts: dict[str, str]) -> str:
@@ -71,22 +74,57 @@ def file_hash(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
 
 
-def closure(module: str, names: Iterable[str], root: Path = ROOT) -> dict[str, str]:
-    """Return hashes of what definitions of a module depend on, by name of definition, module or file.
+@cache
+def closure(
+    module: str, names: tuple[str, ...], words: frozenset[str] | None = None, root: Path = ROOT
+) -> tuple[dict[str, str], frozenset[str] | None]:
+    """Return what definitions of a module depend on: hashes by name of definition, module or file; and :data:`covered`.
 
     Parameters
     ----------
     module : str
-        The module's name.
-    names : iterable of str
-        Definitions in it.
+        The module's name, such as ``"studies.lambda_sweep"``.
+    names : tuple of str
+        Definitions in it at which the walk begins.
+    words : frozenset of str, optional
+        The words in a job, which may name contenders and shipped policies; left out, all of these count.
     root : Path
         The folder that holds the packages.
     """
-    walk = _Walk(root, (*PACKAGES, module.partition(".")[0]))
+    return _with_entries(_walked(module, names, root), words)
+
+
+@cache
+def _walked(module: str, names: tuple[str, ...], root: Path, before: _Walk | None = None) -> _Walk:
+    """Return a walk from definitions, through what another has not found before."""
+    walk = _Walk(root, (*PACKAGES, module.partition(".")[0]), found=before.found if before else {})
     for name in names:
         walk.reach(module, name)
-    return walk.found
+    return walk
+
+
+def _with_entries(walk: _Walk, words: frozenset[str] | None) -> tuple[dict[str, str], frozenset[str] | None]:
+    """Return what a walk has found, with the contenders and policies that are named; and which may be looked up."""
+    parts, said, entries, loads = (
+        dict(walk.found),
+        frozenset(walk.words | (words or set())),
+        set(walk.entries),
+        walk.loads,
+    )
+    whole = words is None or said.isdisjoint(entry.contender for entry in entries)
+    added: set[Entry] = set()
+    while new := {entry for entry in entries if whole or entry.contender in said} - added:
+        for entry in new:
+            further = _walked(entry.module, (entry.label,), walk.root, walk)
+            parts |= further.found
+            said |= further.words
+            entries |= further.entries
+            loads |= further.loads
+        added |= new
+    policies = {file.stem: file for file in walk.root.glob(_POLICIES)} if loads else {}
+    named = policies if words is None else policies.keys() & said
+    parts |= {f"policy {name}": file_hash(policies[name]) for name in named or policies}
+    return parts, None if whole else said
 
 
 def closure_of_file(file: Path, root: Path = ROOT) -> tuple[dict[str, str], list[str]]:
@@ -102,24 +140,27 @@ def closure_of_file(file: Path, root: Path = ROOT) -> tuple[dict[str, str], list
     Returns
     -------
     parts : dict
-        As from :func:`closure`.
+        As :func:`closure` gives them.
     outside : list of str
         Names of modules that are neither installed nor part of this project; the file itself is not named.
     """
-    walk = _Walk(root, PACKAGES, outside=True)
+    walk = _Walk(root, PACKAGES, {}, outside=True)
     walk.whole(str(file), file)
-    return walk.found, walk.strangers
+    return _with_entries(walk, None)[0], walk.strangers
 
 
 class _Walk:
-    """One walk through the sources; what it has found, by name."""
+    """One walk through the sources: what it has found, by name, and the contenders and literals on its way."""
 
-    def __init__(self, root: Path, packages: Iterable[str], outside: bool = False) -> None:
+    def __init__(self, root: Path, packages: Iterable[str], found: dict[str, str], outside: bool = False) -> None:
         self.root = root
         self.packages = frozenset(packages)
         self.outside = outside
-        self.found: dict[str, str] = {}
+        self.found = dict(found)
         self.strangers: list[str] = []
+        self.entries: set[Entry] = set()
+        self.words: set[str] = set()
+        self.loads = False
 
     def path(self, module: str) -> Path | None:
         """Return the file of a module that counts, or none."""
@@ -148,10 +189,13 @@ class _Walk:
         file = self.path(module)
         if file is None or module in _ASIDE:
             return
+        self.loads |= name == "load_policy"
         is_package = file.name == "__init__.py"
         if is_package and name is not None and self.path(f"{module}.{name}"):
             self.reach(f"{module}.{name}", None)
-        elif is_package and (found := _bindings(_tree(file).body, module, True, typing=True).get(str(name))):
+        elif is_package and (
+            found := _bindings(ast.parse(file.read_bytes()).body, module, True, typing=True).get(str(name))
+        ):
             self.reach(*found)  # what a package only passes on, at once or when it is asked for
         elif module.partition(".")[0] in self.packages - {"dpend", "controllers", "rl"}:
             self._definitions(module, file, None if name is None else {name})
@@ -162,7 +206,7 @@ class _Walk:
         """Add a module, all it imports, and the data that lies beside it."""
         if module in self.found:
             return
-        body = _plain(_tree(file)).body
+        body = _body(file.read_bytes())
         self.found[module] = _hash(body)
         for data in sorted(self.root.glob(_DATA[module])) if module in _DATA else ():
             self.found[str(data.relative_to(self.root))] = file_hash(data)
@@ -170,14 +214,14 @@ class _Walk:
 
     def _definitions(self, module: str, file: Path, names: set[str] | None) -> None:
         """Add definitions of a module, and what they use."""
-        body = _plain(_tree(file)).body
+        body = _body(file.read_bytes())
         imports = _bindings(body, module, file.name == "__init__.py")
         known, always = _split(body)
         open_names = list(known if names is None else names)
         if always and f"{module}:" not in self.found:
             self.found[f"{module}:"] = _hash(always)
             open_names += sorted(_globals(always))
-            self._follow(always, {alias: imports[alias] for alias in imports.keys() & _globals(always)})
+            self.words |= self._follow(always, {alias: imports[alias] for alias in imports.keys() & _globals(always)})
         while open_names:
             name = open_names.pop()
             if name not in known:
@@ -187,21 +231,25 @@ class _Walk:
             if f"{module}:{name}" in self.found:
                 continue
             self.found[f"{module}:{name}"] = _hash(known[name])
+            self.entries |= {Entry(at[len(name) + 1 : -1], module, at) for at in known if at.startswith(f"{name}[")}
             used = _globals(known[name])
             open_names += sorted(used & known.keys())
             inner = _bindings(known[name], module, file.name == "__init__.py")
-            self._follow(known[name], {alias: imports[alias] for alias in imports.keys() & used} | inner)
+            self.words |= self._follow(known[name], {alias: imports[alias] for alias in imports.keys() & used} | inner)
 
-    def _follow(self, body: _Statements, bindings: dict[str, Binding]) -> None:
-        """Go on to what statements use of their imports, and to what they name in strings."""
+    def _follow(self, body: _Statements, bindings: dict[str, Binding]) -> set[str]:
+        """Go on to what statements use of their imports, and to what they name in literals; return these."""
         attributes: dict[str, set[str | None]] = {}
+        literals: set[str] = set()
         for node in (node for statement in body for node in ast.walk(statement)):
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
                 attributes.setdefault(node.value.id, set()).add(node.attr)
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                self._string(node.value)
+                literals.add(node.value)
             elif isinstance(node, ast.Call):
                 self._kept_table(node)
+        for text in sorted(literals):
+            self._string(text)
         bare = _bare_names(body)
         for alias, (module, name) in bindings.items():
             if name is not None and self.path(f"{module}.{name}"):
@@ -211,6 +259,7 @@ class _Walk:
             else:
                 for attribute in sorted(attributes.get(alias, set()) | ({None} if alias in bare else set()), key=str):
                     self.reach(module, attribute)
+        return literals
 
     def _string(self, text: str) -> None:
         """Follow the name of a module, such as an entry point's, and that of an environment of Gymnasium's."""
@@ -257,8 +306,10 @@ def within_environment(file: Path) -> bool:
 # --------------------------------------------------------------------------------------------------------- the sources
 
 
-def _tree(file: Path) -> ast.Module:
-    return ast.parse(file.read_bytes())
+@cache
+def _body(content: bytes) -> _Statements:
+    """Return a source's statements without what changes no result; cached by content, so that an edit shows."""
+    return _Plain().visit(ast.parse(content)).body
 
 
 def _hash(body: _Statements) -> str:
@@ -321,24 +372,18 @@ class _Plain(ast.NodeTransformer):
         node.keywords = [keyword for keyword in node.keywords if keyword.arg not in _SHOWN_ONLY]
         return node
 
-    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+    def visit_FunctionDef(self, node: ast.FunctionDef | ast.ClassDef) -> ast.AST:
         self.generic_visit(node)
-        node.returns = None
+        if isinstance(node, ast.FunctionDef):
+            node.returns = None
         node.body = node.body or [ast.Pass()]
         return node
 
-    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
-        self.generic_visit(node)
-        node.body = node.body or [ast.Pass()]
-        return node
-
-
-def _plain(tree: ast.Module) -> ast.Module:
-    return ast.fix_missing_locations(_Plain().visit(tree))
+    visit_ClassDef = visit_FunctionDef
 
 
 def _split(body: _Statements) -> tuple[dict[str, _Statements], _Statements]:
-    """Return a module's definitions by name, and other statements than imports."""
+    """Return a module's definitions by name, tables of contenders entry by entry, and other statements than imports."""
     known: dict[str, _Statements] = {}
     always: _Statements = []
     for statement in body:
@@ -351,11 +396,30 @@ def _split(body: _Statements) -> tuple[dict[str, _Statements], _Statements]:
             names = {statement.name}
         elif not isinstance(statement, ast.Assign | ast.AnnAssign | ast.AugAssign):
             names = set()
+        statement, entries = _cut(statement)
         for name in names:
             known.setdefault(name, []).append(statement)
+            for entry, call in entries.items():
+                known.setdefault(f"{name}[{entry}]", []).append(ast.Expr(call))
         if not names:
             always.append(statement)
     return known, always
+
+
+def _cut(statement: ast.stmt) -> tuple[ast.stmt, dict[str, ast.expr]]:
+    """Return a statement without the contenders in a tuple that it assigns, and these by name."""
+    entries: dict[str, ast.expr] = {}
+    if isinstance(statement, ast.Assign | ast.AnnAssign) and isinstance(statement.value, ast.Tuple):
+        others: list[ast.expr] = []
+        for each in statement.value.elts:
+            match each:
+                case ast.Call(ast.Name("Contender"), [], [ast.keyword("name", ast.Constant(str(name))), *_]):
+                    entries[name] = each
+                case _:
+                    others.append(each)
+        statement = copy(statement)
+        statement.value = ast.Tuple(others, ast.Load())
+    return statement, entries
 
 
 def _globals(body: _Statements) -> set[str]:

@@ -28,6 +28,7 @@ from dpend.suggest import suggestion
 from rl import LSPI, GaussianQAC, Learner, LinearQLearning, load_policy
 
 from . import _runner
+from ._closure import covered
 from ._figures import Style
 from ._own import Own, load_own
 
@@ -227,17 +228,28 @@ class Options(_runner.Options):
 def find(name: str, own_controller: Own | None = None, known: Iterable[Contender] = CONTENDERS) -> Contender:
     """Return the contender that a job names: one of those known, or a user's own by its ``own``.
 
-    It is a ValueError if there is none, or a user's own controller is not what it was when the job was listed.
+    It is a ValueError if there is none, or a user's own controller is not what it was when the job was listed, and a
+    RuntimeError if the key of the job that is being done does not hold this contender.
     """
     if own_controller is not None:
-        found = own(own_controller.spec)
-        if found.own is None or found.own.code != own_controller.code:
-            raise ValueError(f"--controller {own_controller.spec} changed while the study ran; start it again.")
-        return found
+        return unchanged(own_controller)
+    if (names := covered.get()) is not None and name not in names:
+        raise RuntimeError(
+            f"The job that is being done does not name the contender {name!r}, so that its kept result would outlive "
+            "a change of it; put the name into a field of the job, or write it out where it is looked up."
+        )
     by_name = {contender.name: contender for contender in known}
     if name not in by_name:
         raise ValueError(f"No contender is called {name!r}.{suggestion(name, by_name)}")
     return by_name[name]
+
+
+def unchanged(listed: Own) -> Contender:
+    """Return a user's own controller; a ValueError if it is not what it was when the job was listed."""
+    found = own(listed.spec)
+    if found.own is None or found.own.code != listed.code:
+        raise ValueError(f"--controller {listed.spec} changed while the study ran; start it again.")
+    return found
 
 
 @cache

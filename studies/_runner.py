@@ -4,7 +4,7 @@ A study is a module with a docstring that says question, method and finding, and
 ``jobs``, ``run`` and ``report`` (see :class:`Study`), and ``films`` where its options have such a flag.  Each finished
 job is a file of its own, so that a study that was stopped in any way goes on where it was, and no row is lost or
 doubled.  That file is named after a hash of everything the result depends on: the job, the code that ``run`` reaches
-with the data shipped beside it, and the versions of the libraries.
+and the data shipped beside it, as far as the job names them, and the versions of the libraries.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from dpend import Rig, archive
 from dpend.provenance import versions
 from dpend.workers import interruptible, pool
 
-from ._closure import kept_folder, kept_table, source_hash
+from ._closure import closure, covered, kept_folder, kept_table, source_hash
 from ._figures import look
 from ._table import AnyArray, Table, load, read_rows, save, where
 from ._tables import Sheet, document, terminal
@@ -265,6 +265,8 @@ def run_study(name: str, options: Options, executor: Executor | None = None) -> 
     shipped = {job: kept[digits] for job, digits in keys.items() if job not in done and digits in kept}
     if shipped:
         print(f"{len(shipped)} of {len(keys)} jobs come from {kept_folder(short)}; --fresh computes them here.")
+    elif kept and kept.keys().isdisjoint(keys.values()):
+        print(f"None of {len(keys)} jobs comes from {kept_folder(short)}, {_differs(name)}; all are computed here.")
     done |= shipped
     earlier = len(done)
     done |= _do(name, {job: file for job, file in files.items() if job not in done}, len(files), executor)
@@ -353,9 +355,13 @@ def key(name: str, job: Any) -> str:
     TypeError
         If the job holds something else than plain values.
     """
-    libraries = {library: version for library, version in versions().items() if library != "matplotlib"}
-    text = json.dumps([source_hash(name), libraries, _plain(job)], sort_keys=True)
+    plain = _plain(job)
+    text = json.dumps([source_hash(name, _words(plain)), _libraries(), plain], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+def _libraries() -> dict[str, str]:
+    return {library: version for library, version in versions().items() if library != "matplotlib"}
 
 
 def _plain(value: Any) -> Any:
@@ -372,6 +378,14 @@ def _plain(value: Any) -> Any:
         "A job is a frozen dataclass of numbers, words, None, enums, tuples and such dataclasses; "
         f"got {type(value).__name__} {value!r}."
     )
+
+
+def _words(plain: Any) -> frozenset[str]:
+    """Return the words in a job as JSON has it."""
+    if isinstance(plain, str):
+        return frozenset({plain})
+    held = plain.values() if isinstance(plain, dict) else plain if isinstance(plain, list) else ()
+    return frozenset().union(*map(_words, held))
 
 
 def plain_fields(job: Any) -> dict[str, Any]:
@@ -413,6 +427,19 @@ def _kept(short: str) -> dict[str, _Work]:
     }
 
 
+def _differs(name: str) -> str:
+    """Return why no job of a study is in the table that comes with the project."""
+    folder, here = kept_folder(name.removeprefix("studies.")), _libraries()
+    assert folder is not None
+    meta = json.loads((folder / "meta.json").read_text(encoding="utf-8"))
+    there = meta["versions"]
+    others = [f"{each} {there.get(each, 'none')} (here {here.get(each, 'none')})"
+              for each in sorted({*there, *here} - {"matplotlib"}) if there.get(each) != here.get(each)]  # fmt: skip
+    if others:
+        return f"which was computed with {', '.join(others)}"
+    return "which has other sources" if meta["source"] != source_hash(name) else "which has other options"
+
+
 def _do(name: str, work: Mapping[Any, Path], total: int, executor: Executor | None) -> dict[Any, _Work]:
     """Do jobs, here or by an executor, and keep each when it is done, with a progress bar."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -428,18 +455,23 @@ def _do(name: str, work: Mapping[Any, Path], total: int, executor: Executor | No
 
 def _done(name: str, work: Mapping[Any, Path], executor: Executor | None) -> Iterator[tuple[Any, _Work]]:
     """Return jobs with what is to be kept of them, in the order in which they end."""
+    names = {job: closure(name, ("run", "Job"), _words(_plain(job)))[1] for job in work}
     if executor is None:
-        yield from ((job, _do_one(name, job)) for job in work)
+        yield from ((job, _do_one(name, job, names[job])) for job in work)
         return
-    waiting = {executor.submit(_do_one, name, job): job for job in work}
+    waiting = {executor.submit(_do_one, name, job, names[job]): job for job in work}
     for future in as_completed(waiting):
         yield waiting[future], future.result()
 
 
-def _do_one(name: str, job: Any) -> _Work:
-    """Do a job."""
+def _do_one(name: str, job: Any, contenders: frozenset[str] | None) -> _Work:
+    """Do a job, which may look up the contenders of these names alone, those that its key covers."""
     began = time.perf_counter()
-    result = cast(Study, importlib.import_module(name)).run(job)
+    token = covered.set(contenders)
+    try:
+        result = cast(Study, importlib.import_module(name)).run(job)
+    finally:
+        covered.reset(token)
     rows = [row if isinstance(row, dict) else asdict(row) for row in result.rows]
     names = {tuple(row) for row in rows}
     if len(names) != 1:

@@ -80,7 +80,7 @@ class Options(_field.Options):
     def settings_starts(self, contender: Contender) -> int:
         """Return the starts in each of some hundred settings; none for what would take an hour, or must be quick."""
         if self.quick:
-            return 2 if contender.own or contender.name == "LQR" else 0
+            return 2 if contender.own or contender.name in ("LQR", *self.only) else 0
         return {Cost.CHEAP: 20, Cost.MODERATE: 5, Cost.EXPENSIVE: 0}[contender.cost]
 
 

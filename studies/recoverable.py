@@ -134,7 +134,7 @@ def run(job: Job) -> Result:
         task = dpend.Balance(lam=job.lam)
         x0 = task.starts(np.random.default_rng([job.seed, 1]), job.first + job.starts, RIG)
     x0 = x0[job.first : job.first + job.starts]
-    yours = [_field.find("", own) for own in job.yours]
+    yours = [_field.unchanged(own) for own in job.yours]
     verdicts = judge(x0, task, everywhere=job.lam is None, planned=job.planned, guesses=job.guesses, yours=yours)
     return Result([
         {"index": job.first + i, "th1": round(float(start[1]), 5), "th2": round(float(start[2]), 5)}

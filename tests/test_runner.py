@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,14 +21,16 @@ import tyro
 from matplotlib.figure import Figure
 
 import dpend
-from studies import _runner, lambda_sweep, published_q
+from studies import _closure, _runner, lambda_sweep, published_q
 from studies._closure import PACKAGES, closure, source_hash
+from studies._field import CONTENDERS, find
 from studies._runner import Report, Result
 from studies._table import load
 from tests import study_example
 
 ROOT = Path(__file__).parent.parent
 STUDIES = list(_runner.studies())
+VERSIONS = _runner.versions()
 
 
 def example(out, *arguments):
@@ -234,12 +237,27 @@ def test_jobs_of_the_kept_table_are_not_done_again(kept, tmp_path, capsys, monke
     assert table.arrays("value") == fresh.arrays("value")
 
 
-@pytest.mark.parametrize("changed", ["versions", "source_hash"])
-def test_a_kept_table_from_other_code_or_versions_serves_nothing(changed, kept, tmp_path, monkeypatch):
-    other = {"versions": lambda: {"numpy": "99"}, "source_hash": lambda name: "another"}
-    monkeypatch.setattr(_runner, changed, other[changed])
+@pytest.mark.parametrize(
+    ("changed", "other", "why"),
+    [
+        ("versions", lambda: VERSIONS | {"numpy": "99"}, f"was computed with numpy {np.__version__} (here 99)"),
+        ("source_hash", lambda *_: "another", "has other sources"),
+    ],
+)
+def test_a_kept_table_from_other_code_or_versions_serves_nothing(
+    changed, other, why, kept, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr(_runner, changed, other)
     run_example(tmp_path / "out", "--jobs", "3", "--join")
     assert json.loads((tmp_path / "out" / "meta.json").read_text())["jobs_done_earlier"] == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"None of 3 jobs comes from {kept}, which {why}; all are computed here." in said
+
+
+def test_a_kept_table_with_other_options_serves_nothing_and_says_so(kept, tmp_path, capsys):
+    run_example(tmp_path / "out", "--jobs", "1", "--seed", "1", "--join")
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"None of 1 jobs comes from {kept}, which has other options; all are computed here." in said
 
 
 def test_a_kept_table_from_before_keys_were_kept_serves_nothing(kept, tmp_path):
@@ -346,12 +364,17 @@ def edit(copied):
         changed = (content or b"") + put if find is None else (content or b"").replace(find, put, 1)
         assert changed != content
         file.write_bytes(changed)
-        source_hash.cache_clear()
+        _forget()
 
     yield change
     for file, content in old.items():
         file.unlink() if content is None else file.write_bytes(content)
-    source_hash.cache_clear()
+    _forget()
+
+
+def _forget():
+    _closure.closure.cache_clear()
+    _closure._walked.cache_clear()
 
 
 @pytest.mark.parametrize(
@@ -398,21 +421,91 @@ def test_what_changes_a_result_makes_it_be_computed_again(study, name, find, put
 
 
 def test_a_name_of_a_package_that_loads_late_counts_as_the_module_that_defines_it_alone(copied):
-    parts = {name for name in closure("studies.sdre", ["run"], copied) if name.startswith("controllers")}
+    parts = {name for name in closure("studies.sdre", ("run",), root=copied)[0] if name.startswith("controllers")}
     assert {"controllers.lqr", "controllers.sdre"} <= parts
     assert not parts & {"controllers", "controllers.nmpc", "controllers.ilqr", "controllers.energy", "controllers.data"}
-    shipped = closure("studies._field", ["_follower"], copied)
+    shipped = closure("studies._field", ("_follower",), root=copied)[0]
     assert {"controllers.data", "controllers.tvlqr"} <= shipped.keys()
     assert any(name.endswith("effort.npz") for name in shipped)
 
 
 def test_a_table_that_a_job_reads_counts_by_its_content(copied, edit):
     def parts():
-        return closure("studies.recoverable", ["shipped"], copied)
+        return closure("studies.recoverable", ("shipped",), root=copied)[0]
 
     before = parts()
     edit("docs/results/recoverable/rows.csv", None, b"new")
     assert {name for name, value in parts().items() if before[name] != value} == {"table recoverable"}
+
+
+NAMED = ("LQR", "iLQR MPC", "LSPI", "PPO balance", "TVLQR")
+
+
+def hashes(root):
+    return {name: source_hash("studies.robustness", frozenset({"balance", "axes", name}), root) for name in NAMED}
+
+
+@pytest.mark.parametrize(
+    ("name", "find", "put", "stale"),
+    [
+        ("studies/_field.py", b'    Contender(name="SDRE",',
+         b'    Contender(name="new", make=lambda rig, task: SDRE(rig)),\n    Contender(name="SDRE",', ()),
+        ("studies/_field.py", b"SDRE(rig)", b"SDRE(rig, R=2)", ()),
+        ("studies/_field.py", b'make=_learned("lspi")', b'make=_learned("q-tuned")', ("LSPI",)),
+        ("studies/_field.py", b"No contender is called", b"Nobody is called", NAMED),
+        ("studies/_perturbations.py", b"WITHIN = 0.2", b"WITHIN = 0.3", NAMED),
+        ("controllers/ilqr.py", None, b"\nX = 1\n", ("iLQR MPC",)),
+        ("controllers/tvlqr.py", None, b"\nX = 1\n", ("TVLQR",)),
+        ("rl/lspi.py", None, b"\nX = 1\n", ("LSPI",)),
+        ("rl/trained/lspi.npz", None, b"new", ("LSPI",)),
+        ("rl/trained/ppo-swing-up.npz", None, b"new", ()),
+    ],
+)  # fmt: skip
+def test_a_job_is_stale_where_its_contender_changed_and_not_where_another_did(name, find, put, stale, copied, edit):
+    before = hashes(copied)
+    edit(name, find, put)
+    assert [each for each, digits in hashes(copied).items() if before[each] != digits] == list(stale)
+
+
+COMPARES = """
+from studies._field import CONTENDERS, Contender, find
+MINE = (Contender(name="mine", make=lambda rig, task: find("LQR")), *CONTENDERS)
+def run(job): return find(job.law, known=MINE)
+"""
+
+
+def test_the_contenders_that_a_job_or_the_code_names_count_and_all_where_none_is_named(tmp_path, copied):
+    shutil.copytree(copied / "studies", tmp_path / "studies")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "study.py").write_text(COMPARES)
+
+    def entries(*words):
+        parts, names = closure("mine.study", ("run",), frozenset(words), tmp_path)
+        return {part.partition("[")[2][:-1] for part in parts if part.endswith("]")}, names
+
+    assert entries("SDRE", "axes")[0] == {"SDRE"}
+    assert entries("mine")[0] == {"mine", "LQR"}, "what an entry names counts with it"
+    everything = {contender.name for contender in CONTENDERS} | {"mine"}
+    assert entries("axes") == (everything, None)
+    allowed = entries("SDRE")[1]
+    assert allowed is not None
+    assert "SDRE" in allowed
+    assert not allowed & {"mine", "LQR", "NMPC"}
+
+
+def test_a_job_cannot_look_up_a_contender_that_its_key_does_not_cover(tmp_path, monkeypatch):
+    for looked_up in ("LQR", "SDRE"):
+        monkeypatch.setattr(_runner, "closure", lambda *_: ({}, frozenset({"SDRE"})))
+        monkeypatch.setattr(study_example, "run", lambda job, name=looked_up: Result([{"is": find(name).name}]))
+        monkeypatch.setattr(study_example, "report", lambda table: Report(figures=Figure(), tables=[]))
+        with pytest.raises(RuntimeError) if looked_up == "LQR" else nullcontext() as refused:
+            run_example(tmp_path / looked_up, "--jobs", "1")
+        if refused:
+            assert str(refused.value) == (
+                "The job that is being done does not name the contender 'LQR', so that its kept result would outlive a "
+                "change of it; put the name into a field of the job, or write it out where it is looked up."
+            )
+    assert find("LQR").name == "LQR", "outside of a job everything may be looked up"
 
 
 # ---------------------------------------------------------------------------------------------------- the studies
