@@ -29,7 +29,7 @@ ROOT = Path(__file__).parent.parent
 PACKAGES = ("dpend", "controllers", "rl", "studies")
 
 covered: ContextVar[frozenset[str] | None] = ContextVar("covered", default=None)
-"""Names of the contenders that may be looked up: while a job is done, those in its key; None for any."""
+"""Words that hold the names of the contenders that may be looked up: of those in the job's key; None for any."""
 
 _DATA = {"controllers.data": "controllers/data/*.npz"}
 """What is shipped beside a module and read by it."""
@@ -45,18 +45,10 @@ _Statements = list[ast.stmt]
 
 
 class Binding(NamedTuple):
-    """What an import binds: a module, or a name in one."""
+    """A module, or a name in one: what an import binds, or a contender such as ``CONTENDERS[LQR]``."""
 
     module: str
     name: str | None
-
-
-class Entry(NamedTuple):
-    """A contender's name, and where it is defined: in a module, under a label such as ``CONTENDERS[LQR]``."""
-
-    contender: str
-    module: str
-    label: str
 
 
 def source_hash(module: str, words: frozenset[str] | None = None, root: Path = ROOT) -> str:
@@ -95,7 +87,7 @@ def closure(
 
 
 @cache
-def _walked(module: str, names: tuple[str, ...], root: Path, before: _Walk | None = None) -> _Walk:
+def _walked(module: str, names: tuple[str | None, ...], root: Path, before: _Walk | None = None) -> _Walk:
     """Return a walk from definitions, through what another has not found before."""
     walk = _Walk(root, (*PACKAGES, module.partition(".")[0]), found=before.found if before else {})
     for name in names:
@@ -105,17 +97,13 @@ def _walked(module: str, names: tuple[str, ...], root: Path, before: _Walk | Non
 
 def _with_entries(walk: _Walk, words: frozenset[str] | None) -> tuple[dict[str, str], frozenset[str] | None]:
     """Return what a walk has found, with the contenders and policies that are named; and which may be looked up."""
-    parts, said, entries, loads = (
-        dict(walk.found),
-        frozenset(walk.words | (words or set())),
-        set(walk.entries),
-        walk.loads,
-    )
-    whole = words is None or said.isdisjoint(entry.contender for entry in entries)
-    added: set[Entry] = set()
-    while new := {entry for entry in entries if whole or entry.contender in said} - added:
+    parts, entries, loads = dict(walk.found), dict(walk.entries), walk.loads
+    said = walk.words | (words or frozenset())
+    whole = words is None or said.isdisjoint(entries.values())
+    added: set[Binding] = set()
+    while new := {entry for entry, name in entries.items() if whole or name in said} - added:
         for entry in new:
-            further = _walked(entry.module, (entry.label,), walk.root, walk)
+            further = _walked(entry.module, (entry.name,), walk.root, walk)
             parts |= further.found
             said |= further.words
             entries |= further.entries
@@ -158,8 +146,8 @@ class _Walk:
         self.outside = outside
         self.found = dict(found)
         self.strangers: list[str] = []
-        self.entries: set[Entry] = set()
-        self.words: set[str] = set()
+        self.entries: dict[Binding, str] = {}
+        self.words: frozenset[str] = frozenset()
         self.loads = False
 
     def path(self, module: str) -> Path | None:
@@ -231,13 +219,13 @@ class _Walk:
             if f"{module}:{name}" in self.found:
                 continue
             self.found[f"{module}:{name}"] = _hash(known[name])
-            self.entries |= {Entry(at[len(name) + 1 : -1], module, at) for at in known if at.startswith(f"{name}[")}
+            self.entries |= {Binding(module, at): at[len(name) + 1 : -1] for at in known if at.startswith(f"{name}[")}
             used = _globals(known[name])
             open_names += sorted(used & known.keys())
             inner = _bindings(known[name], module, file.name == "__init__.py")
             self.words |= self._follow(known[name], {alias: imports[alias] for alias in imports.keys() & used} | inner)
 
-    def _follow(self, body: _Statements, bindings: dict[str, Binding]) -> set[str]:
+    def _follow(self, body: _Statements, bindings: dict[str, Binding]) -> frozenset[str]:
         """Go on to what statements use of their imports, and to what they name in literals; return these."""
         attributes: dict[str, set[str | None]] = {}
         literals: set[str] = set()
@@ -248,8 +236,11 @@ class _Walk:
                 literals.add(node.value)
             elif isinstance(node, ast.Call):
                 self._kept_table(node)
-        for text in sorted(literals):
-            self._string(text)
+        for text in sorted(literals):  # a module, such as an entry point's, or an environment of Gymnasium's
+            if text.startswith("dpend/"):
+                self.reach("dpend", None)
+            elif (match := _MODULE_NAME.fullmatch(text)) and match[1].partition(".")[0] in self.packages:
+                self.reach(match[1], None)
         bare = _bare_names(body)
         for alias, (module, name) in bindings.items():
             if name is not None and self.path(f"{module}.{name}"):
@@ -259,14 +250,7 @@ class _Walk:
             else:
                 for attribute in sorted(attributes.get(alias, set()) | ({None} if alias in bare else set()), key=str):
                     self.reach(module, attribute)
-        return literals
-
-    def _string(self, text: str) -> None:
-        """Follow the name of a module, such as an entry point's, and that of an environment of Gymnasium's."""
-        if text.startswith("dpend/"):
-            self.reach("dpend", None)
-        elif (match := _MODULE_NAME.fullmatch(text)) and match[1].partition(".")[0] in self.packages:
-            self.reach(match[1], None)
+        return frozenset(literals)
 
     def _kept_table(self, call: ast.Call) -> None:
         """Add the shipped table that a call reads."""
@@ -413,7 +397,9 @@ def _cut(statement: ast.stmt) -> tuple[ast.stmt, dict[str, ast.expr]]:
         others: list[ast.expr] = []
         for each in statement.value.elts:
             match each:
-                case ast.Call(ast.Name("Contender"), [], [ast.keyword("name", ast.Constant(str(name))), *_]):
+                case ast.Call(ast.Name("Contender"), [], [ast.keyword("name", ast.Constant(str(name))), *_]) if (
+                    name not in entries
+                ):
                     entries[name] = each
                 case _:
                     others.append(each)
