@@ -22,7 +22,7 @@ from enum import Enum
 from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, Protocol, cast
+from typing import Annotated, Any, Literal, NamedTuple, Protocol, cast, get_type_hints
 
 import pandas as pd
 import tyro
@@ -43,8 +43,8 @@ from ._table import AnyArray, Table, load, read_rows, save, where
 from ._tables import Sheet, document, terminal
 
 __all__ = [
-    "OnRig", "Options", "Plant", "Report", "Result", "Study", "Table", "kept_table", "main", "read_rows", "run_study",
-    "studies", "where",
+    "AtLeastTwo", "NonNegative", "OnRig", "Options", "Plant", "Positive", "Report", "Result", "Study", "Table",
+    "kept_table", "main", "read_rows", "run_study", "studies", "where",
 ]  # fmt: skip
 
 QUICK = "quick run: too few runs to mean much"
@@ -54,15 +54,26 @@ DEFAULT_RIG = "gustafsson2016"
 _JOB = "dpend study job 1"
 
 
+class Least(NamedTuple):
+    """The least that an option may be."""
+
+    value: int
+
+
+NonNegative = Annotated[int, Least(0)]
+Positive = Annotated[int, Least(1)]
+AtLeastTwo = Annotated[int, Least(2)]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Options of every study's command line."""
+    """Options of every study's command line; it is a ValueError if one is less than its type allows."""
 
     out: Path | None = None
     """Folder for table, figures and unfinished work; left out, results/ and the study's name (and -quick)."""
-    seed: int = 0
+    seed: NonNegative = 0
     """What all randomness is drawn from."""
-    workers: int = field(default_factory=lambda: os.cpu_count() or 1)
+    workers: Positive = field(default_factory=lambda: os.cpu_count() or 1)
     """Processes that share the work."""
     quick: bool = False
     """A small version that ends in seconds and shows that everything works; its figures mean little."""
@@ -72,25 +83,16 @@ class Options:
     """Compute every job here, also those of the contenders that your own joins, whose results are in docs/results."""
 
     def __post_init__(self) -> None:
-        self.check_least(1, "workers")
-        self.check_least(0, "seed")
+        for name, hint in get_type_hints(type(self), include_extras=True).items():
+            for bound in getattr(hint, "__metadata__", ()):
+                if isinstance(bound, Least) and getattr(self, name) < bound.value:
+                    option = f"--{name.replace('_', '-')}"
+                    raise ValueError(f"{option} must be at least {bound.value}; got {getattr(self, name)}.")
 
     @property
     def joining(self) -> bool:
         """Whether something of the user's own joins what comes with the project, so that results of that are reused."""
         return False
-
-    def check_least(self, least: int, *names: str) -> None:
-        """Refuse numbers that are too small.
-
-        Raises
-        ------
-        ValueError
-            If an option of one of these names is less.
-        """
-        for name in names:
-            if getattr(self, name) < least:
-                raise ValueError(f"--{name.replace('_', '-')} must be at least {least}; got {getattr(self, name)}.")
 
 
 class Plant(NamedTuple):

@@ -34,7 +34,7 @@ from rl.deep import evaluate, read_recipe
 from . import _runner
 from ._estimates import mean_share
 from ._figures import facets, legend_above, palette, share_axis
-from ._runner import Report, Result, Table
+from ._runner import AtLeastTwo, Report, Result, Table
 from ._tables import Value, sheet
 from ._trainings import RUNS, Kept, kept
 
@@ -57,11 +57,10 @@ class Options(_runner.Options):
     """Options of the command line."""
 
     runs: Path = RUNS  # Folder of the trainings.
-    starts: int = 1000  # Fresh starts on which each policy is evaluated.
+    starts: AtLeastTwo = 1000  # Fresh starts on which each policy is evaluated.
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check_least(2, "starts")
         if not kept(self.runs):
             raise ValueError(f"--runs {self.runs} holds no trainings; make some with python -m rl.train.")
 

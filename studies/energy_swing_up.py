@@ -28,7 +28,7 @@ from dpend.params import Array
 from . import _runner
 from ._estimates import share
 from ._figures import facets, forest
-from ._runner import Plant, Report, Result, Table
+from ._runner import Plant, Positive, Report, Result, Table
 from ._tables import sheet
 
 MINUTES = 1
@@ -73,12 +73,8 @@ SETTINGS = {
 class Options(_runner.OnRig):
     """Options of the command line."""
 
-    runs: int = 200  # Starts of each law at 20 ms.
-    fine_runs: int = 20  # Starts of each law at 1 ms.
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_least(1, "runs", "fine_runs")
+    runs: Positive = 200  # Starts of each law at 20 ms.
+    fine_runs: Positive = 20  # Starts of each law at 1 ms.
 
 
 @dataclass(frozen=True)

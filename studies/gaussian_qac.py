@@ -30,7 +30,7 @@ from rl.natural_qac import ablations
 from . import _runner
 from ._estimates import QUARTILES, Estimate, mean_share, share
 from ._figures import COLOURS, Curve, band, forest, heat_map, mosaic, saved_by_angle, share_axis
-from ._runner import Report, Result, Table
+from ._runner import Positive, Report, Result, Table
 from ._tables import Value, cell, sheet
 
 MINUTES = 2
@@ -56,16 +56,12 @@ _EVERY = 4
 class Options(_runner.Options):
     """Options of the command line."""
 
-    short: int = 2  # Seeds of each setting of the ranges.
-    short_episodes: int = 2000  # Budget of each of these trainings.
-    long_episodes: int = 200_000  # Budget of each long run.
-    trainings: int = 30  # Seeds of the tuned learner.
-    ablated: int = 12  # Seeds of each ablation, the first of those.
-    episodes: int = 300  # Starts on which each learned policy is evaluated at each λ.
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_least(1, "short", "short_episodes", "long_episodes", "trainings", "ablated", "episodes")
+    short: Positive = 2  # Seeds of each setting of the ranges.
+    short_episodes: Positive = 2000  # Budget of each of these trainings.
+    long_episodes: Positive = 200_000  # Budget of each long run.
+    trainings: Positive = 30  # Seeds of the tuned learner.
+    ablated: Positive = 12  # Seeds of each ablation, the first of those.
+    episodes: Positive = 300  # Starts on which each learned policy is evaluated at each λ.
 
 
 @dataclass(frozen=True, kw_only=True)

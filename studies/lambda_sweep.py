@@ -45,7 +45,7 @@ from ._figures import (
     saved_by_angle,
 )  # fmt: skip
 from ._own import Own
-from ._runner import DEFAULT_RIG, Plant, Report, Result, Table, where
+from ._runner import DEFAULT_RIG, AtLeastTwo, NonNegative, Plant, Positive, Report, Result, Table, where
 from ._tables import Sheet, cell, sheet
 
 MINUTES = 1
@@ -91,10 +91,12 @@ class Options(_field.Options, _runner.OnRig):
     known: ClassVar[tuple[Contender, ...]] = KNOWN
 
     lam: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
-    trainings: int = 10  # Trainings of each learner that learns in seconds.
-    episodes: int = 100  # Starts on which each trained controller is evaluated at each λ.
-    part_of: int = 250  # Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth.
-    basins: int = 41  # Points on each side of the maps of what is saved from rest; none for no maps.
+    trainings: Positive = 10  # Trainings of each learner that learns in seconds.
+    episodes: AtLeastTwo = 100  # Starts on which each trained controller is evaluated at each λ.
+    part_of: AtLeastTwo = (
+        250  # Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth.
+    )
+    basins: NonNegative = 41  # Points on each side of the maps of what is saved from rest; none for no maps.
     plain: bool = False
     """Add the tuned learner with the plain rule of convergence: 20 successes in a row, no tests, no restarts."""
     all: bool = False  # Add what takes minutes: NMPC, and coarse maps of those that take long.
@@ -102,9 +104,6 @@ class Options(_field.Options, _runner.OnRig):
     def __post_init__(self) -> None:
         super().__post_init__()
         recoverable.check_spreads(self.lam)
-        self.check_least(1, "trainings")
-        self.check_least(2, "episodes", "part_of")
-        self.check_least(0, "basins")
         if not self.contenders("balance"):
             raise ValueError(f"--only names no contender that balances; got {self.only}.")
 

@@ -41,7 +41,7 @@ from ._field import CONTENDERS, RIG, Contender, Cost, TaskName, find, styles
 from ._figures import facets, forest
 from ._own import Own
 from ._perturbations import measure
-from ._runner import Report, Result, Table, kept_table, read_rows, where
+from ._runner import AtLeastTwo, Positive, Report, Result, Table, kept_table, read_rows, where
 from ._step_times import undisturbed
 
 MINUTES = 9
@@ -58,13 +58,8 @@ Values = Mapping[str, npt.ArrayLike]  # numbers by quantity, one a run or traini
 class Options(_field.Options):
     """Options of the command line."""
 
-    starts: int = 1000  # Starts at each λ and of each kind of swing-up; of those that take long a share.
-    trainings: int = 10  # Trainings of each learner that learns in seconds.
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_least(2, "starts")
-        self.check_least(1, "trainings")
+    starts: AtLeastTwo = 1000  # Starts at each λ and of each kind of swing-up; of those that take long a share.
+    trainings: Positive = 10  # Trainings of each learner that learns in seconds.
 
     def taking_part(self) -> list[Contender]:
         """Return those that take part; where it must be quick, of those that take long only what is asked for."""

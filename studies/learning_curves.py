@@ -36,7 +36,7 @@ from . import _field, _runner
 from ._estimates import QUARTILES, number
 from ._field import RIG, Contender, find, styles
 from ._figures import Style, band, facets, legend_above, note, share_axis
-from ._runner import Report, Result, Table
+from ._runner import AtLeastTwo, Positive, Report, Result, Table
 from ._tables import Cell, Sheet, Value, sheet
 from ._trainings import RUNS, Kept, kept
 
@@ -94,16 +94,14 @@ def learners() -> dict[str, Contender]:
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 10  # Seeds of each learner that is trained here.
-    starts: int = 100  # Fresh starts of an evaluation at each λ.
+    trainings: Positive = 10  # Seeds of each learner that is trained here.
+    starts: AtLeastTwo = 100  # Fresh starts of an evaluation at each λ.
     only: tuple[str, ...] = ()  # Names of the learners that take part, or of recipes of deep ones; left out, all.
     deep: Path = RUNS
     """Folder of the deep trainings, such as ppo-swing-up.npz, or ppo-swing-up with a folder for each seed."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check_least(1, "trainings")
-        self.check_least(2, "starts")
         names = (*learners(), *DEEP["balance"], *DEEP["swing-up"])
         for name in self.only:
             if name not in names:

@@ -35,6 +35,7 @@ from . import _runner
 from ._estimates import QUARTILES, share
 from ._figures import COLOURS, band, facets, legend_above
 from ._runner import Report, Result, Table
+from ._runner import Positive, Report, Result, Table
 from ._tables import sheet
 
 MINUTES = 2
@@ -62,15 +63,11 @@ _ROWS = 4096
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 2  # Seeds of each setting of Q-learning.
-    training_episodes: int = 500  # Budget of each training.
-    candidates: int = 49_152  # Random gains that each search begins with, half of them such as hold upright.
-    generations: int = 40  # Generations of each evolution strategy.
-    strategies: int = 4  # Evolution strategies in each search, from its best random gains.
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_least(1, "trainings", "training_episodes", "candidates", "generations", "strategies")
+    trainings: Positive = 2  # Seeds of each setting of Q-learning.
+    training_episodes: Positive = 500  # Budget of each training.
+    candidates: Positive = 49_152  # Random gains that each search begins with, half of them such as hold upright.
+    generations: Positive = 40  # Generations of each evolution strategy.
+    strategies: Positive = 4  # Evolution strategies in each search, from its best random gains.
 
 
 @dataclass(frozen=True, kw_only=True)

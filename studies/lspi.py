@@ -29,7 +29,7 @@ from rl.lspi import gain_errors
 from . import _runner
 from ._estimates import QUARTILES, mean_share, share
 from ._figures import Curve, band, force_traces, legend_above, log_axis, mosaic, saved_by_angle
-from ._runner import Report, Result, Table
+from ._runner import Positive, Report, Result, Table
 from ._tables import cell, sheet
 
 MINUTES = 1
@@ -53,12 +53,8 @@ _TRACE_SECONDS = 2.0
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 30  # Seeds of each learner.
-    episodes: int = 300  # Starts on which each trained controller is evaluated at each λ.
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_least(1, "trainings", "episodes")
+    trainings: Positive = 30  # Seeds of each learner.
+    episodes: Positive = 300  # Starts on which each trained controller is evaluated at each λ.
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from rl.policies import LinearQPolicy
 from . import _runner
 from ._estimates import Estimate, mean_share, number, share
 from ._figures import facets, forest, intervals, legend_above, log_axis, palette, saved_by_angle, share_axis
-from ._runner import Plant, Report, Result, Table
+from ._runner import Plant, Positive, Report, Result, Table
 from ._tables import sheet
 from .lambda_sweep import TABLE2
 
@@ -82,18 +82,14 @@ _FROZEN = {1: (_LOOKS[FROZEN][0], "o", ":"), 3: (_LOOKS[FROZEN][0], "D", "--"), 
 class Options(_runner.OnRig):
     """Options of the command line."""
 
-    trainings: int = 60
+    trainings: Positive = 60
     """Seeds of each learner."""
-    reading_trainings: int = 10
+    reading_trainings: Positive = 10
     """Seeds of each further combination of what the report leaves unstated."""
-    max_episodes: int = 2000
+    max_episodes: Positive = 2000
     """Budget of each training."""
-    episodes: int = 50
+    episodes: Positive = 50
     """Episodes of each evaluation."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_least(1, "trainings", "reading_trainings", "max_episodes", "episodes")
 
 
 @dataclass(frozen=True, kw_only=True)

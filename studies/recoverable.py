@@ -37,7 +37,7 @@ from ._figures import Style, facets, saved_by_angle
 from ._null_controllable import null_controllable
 from ._own import Own
 from ._rescue import FORCE, LAWS, MPC, NONE, OPTIMAL, RIG, Verdict, judge
-from ._runner import Report, Result, Table
+from ._runner import NonNegative, Positive, Report, Result, Table
 from ._table import read_rows, where
 from ._tables import Value, sheet
 
@@ -61,13 +61,14 @@ class Options(_field.Options):
     """Options of the command line."""
 
     lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
-    starts: int = 1000  # Starts at each λ.
-    grid: int = 41
+    starts: Positive = 1000  # Starts at each λ.
+    grid: NonNegative = 41
     """Points on each side of the map; none for no map.  One half is computed, the other is its mirror image."""
     extent: float = 0.8  # Greatest angle on the map, rad.
-    planned: int = 200  # iLQR MPC is tried on the first so many starts of planned_lam, whatever else saves them.
+    planned: NonNegative = 200
+    """iLQR MPC is tried on the first so many starts of planned_lam, whatever else saves them."""
     planned_lam: tuple[float, ...] = (0.3, 0.4)  # Each λ at which iLQR MPC is compared with what can be saved.
-    guesses: int = 0
+    guesses: NonNegative = 0
     """Random guesses of optimal control beside the first one: a check that the least force is no mere local minimum."""
 
     def __post_init__(self) -> None:
@@ -75,8 +76,6 @@ class Options(_field.Options):
         if self.only:
             raise ValueError("--only leaves out no contender here: every start is tried by all that may save it.")
         check_spreads(self.lam)
-        self.check_least(1, "starts")
-        self.check_least(0, "grid", "planned", "guesses")
         if not 0 < self.extent < math.pi / 2:
             raise ValueError(f"--extent must be between 0 and pi/2 rad; got {self.extent}.")
 

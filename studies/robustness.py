@@ -32,7 +32,7 @@ from ._field import CONTENDERS, RIG, Contender, Cost, TaskName, find, styles
 from ._figures import Curve, Style, curves, facets, forest, heat_map, intervals, legend_above, share_axis
 from ._own import Own
 from ._perturbations import AXES, GROUPS, NOMINAL, PARAMETERS, SENSORS, VIEWS, Axis, of_groups, realaigym, views
-from ._runner import Report, Result, Table, where
+from ._runner import AtLeastTwo, Report, Result, Table, where
 from ._tables import Cell, Sheet, cell, sheet
 
 MINUTES = 8
@@ -45,9 +45,9 @@ _STARTS_A_PLANT = 4
 class Options(_field.Options):
     """Options of the command line."""
 
-    starts: int = 100
+    starts: AtLeastTwo = 100
     """Starts of each setting of the six axes, and a tenth of them of each setting of the sensors."""
-    slow_starts: int = 5
+    slow_starts: AtLeastTwo = 5
     """Starts of those that take long."""
     plants: int = 256
     """Plants that are wrong in everything at once, a power of two; an eighth of them for those that take long."""
@@ -56,7 +56,6 @@ class Options(_field.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check_least(2, "starts", "slow_starts")
         if self.plants < 16 or self.plants & (self.plants - 1):
             raise ValueError(f"--plants must be a power of two, at least 16; got {self.plants}.")
 

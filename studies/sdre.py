@@ -20,7 +20,7 @@ from controllers import LQR, SDRE
 from . import _runner
 from ._estimates import share
 from ._figures import curves, facets, palette, share_axis
-from ._runner import Report, Result, Table
+from ._runner import Positive, Report, Result, Table
 from ._tables import sheet
 
 MINUTES = 2
@@ -40,14 +40,13 @@ class Options(_runner.Options):
 
     lam: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)
     """Greatest starting angles, rad."""
-    episodes: int = 500
+    episodes: Positive = 500
     """Starts at each of them."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for lam in self.lam:
             dpend.Balance(lam=lam)
-        self.check_least(1, "episodes")
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ from ._estimates import Estimate, mean_share, median, share
 from ._field import CONTENDERS, RIG, Cost, TaskName, find, styles
 from ._figures import Style, facets, force_trace, intervals, legend_above, log_axis, mosaic, scatter, share_axis, strip
 from ._own import Own
-from ._runner import Report, Result, Table
+from ._runner import AtLeastTwo, Report, Result, Table
 from ._tables import Sheet, Value, sheet
 from ._trainings import RUNS, Kept, kept
 
@@ -100,14 +100,10 @@ _LEAST = 0.01  # u_max/s; what varies less is drawn there
 class Options(_field.Options):
     """Options of the command line."""
 
-    starts: int = 400
+    starts: AtLeastTwo = 400
     """Starts of each task; controllers that take long get the first part."""
     runs: Path = RUNS
     """Folder of the deep trainings; with --only they are left out."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_least(2, "starts")
 
 
 @dataclass(frozen=True, kw_only=True)

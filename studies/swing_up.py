@@ -37,7 +37,7 @@ from ._estimates import Estimate, share
 from ._field import CONTENDERS, Contender, Cost, find, styles
 from ._figures import Style, curves, facets, force_trace, forest, heat_map, legend_above, note, share_axis
 from ._own import Own
-from ._runner import Report, Result, Table
+from ._runner import Positive, Report, Result, Table
 from ._step_times import StepTimes, undisturbed
 from ._tables import Cell, Sheet, sheet
 
@@ -91,11 +91,11 @@ class Options(_field.Options):
 
     known: ClassVar[tuple[Contender, ...]] = KNOWN
 
-    runs: int = 200
+    runs: Positive = 200
     """Starts of each controller under each condition; a part of them for those that take long."""
-    transfer_runs: int = 50
+    transfer_runs: Positive = 50
     """Starts of each transfer."""
-    preset_runs: int = 20
+    preset_runs: Positive = 20
     """Starts on each preset."""
     all: bool = False
     """Try every controller under every condition, and NMPC's transfers too."""
@@ -104,7 +104,6 @@ class Options(_field.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check_least(1, "runs", "transfer_runs", "preset_runs")
         able = [c.name for c in self.known if "swing-up" in c.tasks]
         for contender in self.known:
             if contender.name in self.only and contender.name not in able:
