@@ -213,7 +213,8 @@ def main(name: str, arguments: Sequence[str] | None = None) -> Table:
     study = cast(Study, importlib.import_module(name))
     console = Console(stderr=True, highlight=False, emoji=False)
     try:
-        options = tyro.cli(study.Options, args=arguments, description=inspect.getdoc(study), prog=f"python -m {name}")
+        asked = (inspect.getdoc(study) or "").partition("\n\nFinding:")[0]  # what it found is in the documentation
+        options = tyro.cli(study.Options, args=arguments, description=asked, prog=f"python -m {name}")
         with interruptible():
             if arguments is not None and options.workers == 1:
                 return run_study(name, options)

@@ -511,6 +511,15 @@ def test_a_job_cannot_look_up_a_contender_that_its_key_does_not_cover(tmp_path, 
 # ---------------------------------------------------------------------------------------------------- the studies
 
 
+def test_the_help_of_a_study_begins_with_its_question_and_method_alone(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        _runner.main("studies.lambda_sweep", ["--help"])
+    said = capsys.readouterr().out
+    assert "How do controllers and learners compare" in said
+    assert "Method: " in said
+    assert "Finding: " not in said
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
