@@ -13,6 +13,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -352,6 +353,11 @@ def copied(tmp_path_factory):
     return root
 
 
+@cache
+def unedited(study, root):
+    return source_hash(f"studies.{study}", root=root)
+
+
 @pytest.fixture
 def edit(copied):
     """Return a function that edits a file of the copy, or appends to it; whatever it did is undone at the end."""
@@ -396,7 +402,7 @@ def _forget():
     ],
 )
 def test_what_changes_no_result_throws_none_away(study, name, find, put, copied, edit):
-    before = source_hash(f"studies.{study}", root=copied)
+    before = unedited(study, copied)
     edit(name, find, put)
     assert source_hash(f"studies.{study}", root=copied) == before
 
@@ -415,7 +421,7 @@ def test_what_changes_no_result_throws_none_away(study, name, find, put, copied,
     ],
 )
 def test_what_changes_a_result_makes_it_be_computed_again(study, name, find, put, copied, edit):
-    before = source_hash(f"studies.{study}", root=copied)
+    before = unedited(study, copied)
     edit(name, find, put)
     assert source_hash(f"studies.{study}", root=copied) != before
 
@@ -442,7 +448,11 @@ NAMED = ("LQR", "iLQR MPC", "LSPI", "PPO balance", "TVLQR")
 
 
 def hashes(root):
+    """Return the hash of a job of the robustness study for each of some contenders."""
     return {name: source_hash("studies.robustness", frozenset({"balance", "axes", name}), root) for name in NAMED}
+
+
+unedited_hashes = cache(hashes)
 
 
 @pytest.mark.parametrize(
@@ -462,7 +472,7 @@ def hashes(root):
     ],
 )  # fmt: skip
 def test_a_job_is_stale_where_its_contender_changed_and_not_where_another_did(name, find, put, stale, copied, edit):
-    before = hashes(copied)
+    before = unedited_hashes(copied)
     edit(name, find, put)
     assert [each for each, digits in hashes(copied).items() if before[each] != digits] == list(stale)
 
