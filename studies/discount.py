@@ -25,7 +25,7 @@ from rl import LSPI
 from . import _runner
 from ._estimates import Estimate, crossing, mean_share
 from ._figures import Style, facets, intervals, legend_above, share_axis
-from ._runner import Report, Result, Table
+from ._runner import AtLeastTwo, Report, Result, Table
 from ._tables import Value, cell, sheet
 
 MINUTES = 1
@@ -44,12 +44,8 @@ CONDITIONS = ("nominal", "plants ±15 %", "1 sample of delay", "2 samples of del
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 10  # Trainings of LSPI with each discount.
-    episodes: int = 300  # Starts of each training; LQR has those of all.
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.check_least(2, "trainings", "episodes")
+    trainings: AtLeastTwo = 10  # Trainings of LSPI with each discount.
+    episodes: AtLeastTwo = 300  # Starts of each training; LQR has those of all.
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,6 @@ from rl.linear_q import REPORT_FORCES
 from . import _runner
 from ._estimates import QUARTILES, share
 from ._figures import COLOURS, band, facets, legend_above
-from ._runner import Report, Result, Table
 from ._runner import Positive, Report, Result, Table
 from ._tables import sheet
 
