@@ -57,21 +57,7 @@ class Evaluation(NamedTuple):
 
 
 def swing_up_starts(rng: np.random.Generator, n: int, rig: Rig) -> Array:
-    """Draw the starts that swing-ups are evaluated from: half hanging, half to the side, each within 0.05 rad.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        What they are drawn from.
-    n : int
-        How many; the first half hangs.
-    rig : Rig
-        The rig.
-
-    Returns
-    -------
-    ndarray (n, 6)
-    """
+    """Return the starts (n, 6) that swing-ups are evaluated from: half hang, half lie to the side, within 0.05 rad."""
     halves = ("hanging", n // 2), ("side", n - n // 2)
     return np.concatenate([SwingUp(start=start, angle_spread=0.05).starts(rng, size, rig) for start, size in halves])
 
@@ -81,30 +67,12 @@ def _evaluated(task: str, rig: Rig) -> Balance | SwingUp:
     return Balance(lam=0.3) if task == "balance" else SwingUp(steps=round(EPISODE / rig.sample_time))
 
 
-def evaluate(policy: Controller, task: str, rig: Rig, n: int, seed: int | Sequence[int]) -> tuple[float, float]:
-    """Return success and mean variation of a policy from fresh starts.
+def evaluate(policy: Controller, task: str, rig: Rig, n: int, seed: Seed) -> tuple[float, float]:
+    """Return a policy's success, a share of ``n`` fresh starts, and the mean variation of its force.
 
-    Parameters
-    ----------
-    policy : Controller
-        The policy.
-    task : {"swing-up", "balance"}
-        Ten seconds, the last of them upright, from :func:`swing_up_starts`; or 300 samples from
-        ``Balance(lam=0.3).starts``.
-    rig : Rig
-        The rig.
-    n : int
-        How many starts.
-    seed : int or sequence of int
-        What they are drawn from.
-
-    Returns
-    -------
-    success : float
-        Share of starts.
-    variation : float
-        Mean total variation of the force over the last four seconds of the runs that succeed, in force limits per
-        second; NaN where none does.
+    The task "swing-up" is ten seconds, the last of them upright, from :func:`swing_up_starts`, and "balance" 300
+    samples from ``Balance(lam=0.3).starts``.  The total variation is that of the last four seconds of the runs that
+    succeed, in force limits per second; NaN where none does.
     """
     rng, evaluated = np.random.default_rng(seed), _evaluated(task, rig)
     starts = evaluated.starts(rng, n, rig) if task == "balance" else swing_up_starts(rng, n, rig)
@@ -187,37 +155,44 @@ def train_deep(
     folder = None if out is None else _folder(Path(out), recipe, seed)
     learner = made_by(recipe, seed)
     curve: list[Evaluation] = []
-    trail: list[tuple[int, Network]] = []
-    network = None
-    checkpoint = None if folder is None else folder / "checkpoint.pt"
-    if checkpoint is not None and checkpoint.exists():
-        kept = learner.restore(checkpoint)
+    networks: list[Network] = []  # one an evaluation
+
+    def best() -> MLPPolicy | Network:
+        about = {
+            "name": recipe.name,
+            "recipe": recipe.to_dict(),
+            "seed": seed,
+            "command": command,
+            "evaluation": curve[_best(curve)]._asdict(),
+            "versions": _versions(recipe),
+        }
+        return _policy(recipe, networks[_best(curve)], about)
+
+    if folder is not None and (folder / "checkpoint.pt").exists():
+        kept = learner.restore(folder / "checkpoint.pt")
         curve = [Evaluation(*line) for line in kept["curve"]]
-        network = _network(kept["network"])
-        trail = [(step, _network(saved)) for step, saved in kept.get("trail", [(_best(curve).steps, kept["network"])])]
+        networks = [
+            Network.from_arrays(about={}, **{name: np.asarray(array) for name, array in layers.items()})
+            for layers in kept["networks"]
+        ]
         if progress is not None:
             progress(curve[-1])
     wall, cpu = (curve[-1].wall_seconds, curve[-1].cpu_seconds) if curve else (0.0, 0.0)
     wall_began, cpu_began = time.perf_counter() - wall, time.process_time() - cpu
     while learner.steps < steps and not (curve and _good(recipe, curve[-1])):
         learner.learn(min(recipe.evaluate_every, steps - learner.steps))
-        latest = learner.network()
-        success, score, variation = _evaluation(recipe, latest, seed)
+        networks.append(learner.network())
+        success, score, variation = _evaluation(recipe, networks[-1], seed)
         spent = time.perf_counter() - wall_began, time.process_time() - cpu_began
         curve.append(Evaluation(learner.steps, success, score, variation, *spent))
-        trail.append((learner.steps, latest))
-        if _best(curve) is curve[-1]:
-            network = latest
-        if folder is not None and checkpoint is not None:
-            assert network is not None
-            kept = {"curve": curve, "network": network.arrays(), "trail": [(step, one.arrays()) for step, one in trail]}
-            learner.save(checkpoint, kept)
-            _policy(recipe, network, _about(recipe, seed, command, _best(curve))).save(folder / "policy.npz")
+        if folder is not None:
+            kept = {"curve": curve, "networks": [network.arrays() for network in networks]}
+            learner.save(folder / "checkpoint.pt", kept)
+            best().save(folder / "policy.npz")
             _write_curve(folder / "curve.csv", curve)
         if progress is not None:
             progress(curve[-1])
-    assert network is not None
-    return _training(recipe, _policy(recipe, network, _about(recipe, seed, command, _best(curve))), curve, trail)
+    return _training(recipe, best(), curve, networks)
 
 
 class DeepLearner(DeepRecipe):
@@ -239,32 +214,12 @@ DeepLearner.__doc__ = f"{DeepLearner.__doc__}\n\n    {(DeepRecipe.__doc__ or '')
 
 
 def read_training(folder: Path) -> Training:
-    """Return the training that :func:`train_deep` left in a folder, without the policies on the way.
-
-    Parameters
-    ----------
-    folder : Path
-        With its ``recipe.json``, ``curve.csv`` and ``policy.npz``.
-
-    Returns
-    -------
-    Training
-    """
+    """Return the training that :func:`train_deep` left in a folder, without the policies on the way."""
     return _training(read_recipe(folder), load_policy(folder / "policy.npz"), read_curve(folder / "curve.csv"))
 
 
 def read_recipe(place: Path) -> DeepRecipe:
-    """Return the recipe of a training in a folder, or of those in a file or a folder of folders, whatever its age.
-
-    Parameters
-    ----------
-    place : Path
-        As for :func:`read_training` or :func:`read_trainings`.
-
-    Returns
-    -------
-    DeepRecipe
-    """
+    """Return the recipe of a training in a folder, or of those in a place for :func:`read_trainings`."""
     if place.is_dir():
         file = place / "recipe.json"
         return DeepRecipe.from_dict(
@@ -277,15 +232,8 @@ def read_recipe(place: Path) -> DeepRecipe:
 def read_trainings(place: str | Path) -> dict[int, Training]:
     """Return the trainings of one recipe by their seeds, without the policies on the way.
 
-    Parameters
-    ----------
-    place : str or Path
-        A file that :func:`pack` wrote, or a folder of folders ``seed-10``, ``seed-11``, as ``python -m rl.train``
-        leaves; those without a policy yet are left out.
-
-    Returns
-    -------
-    dict
+    They are in a file that :func:`pack` wrote, or in folders ``seed-10``, ``seed-11`` of one folder, as
+    ``python -m rl.train`` leaves; those without a policy yet are left out.
 
     Raises
     ------
@@ -307,19 +255,9 @@ def read_trainings(place: str | Path) -> dict[int, Training]:
 
 
 def pack(folder: Path, file: Path) -> Path:
-    """Write the trainings in a folder, all of one recipe, to one file, which :func:`read_trainings` reads.
+    """Write the trainings in a folder to one file, which :func:`read_trainings` reads, and return its path.
 
-    Parameters
-    ----------
-    folder : Path
-        As for :func:`read_trainings`.
-    file : Path
-        Where; it holds the recipe, and of each seed the evaluation curve and the policy with its provenance.
-
-    Returns
-    -------
-    Path
-        The file.
+    It holds the recipe, and of each seed the evaluation curve and the policy with its provenance.
 
     Raises
     ------
@@ -340,17 +278,9 @@ def pack(folder: Path, file: Path) -> Path:
 
 
 def kept_trainings(folder: Path) -> dict[str, Path]:
-    """Return where the trainings of each recipe are, by name.
+    """Return where :func:`read_trainings` finds the trainings of each recipe, in the order of their names.
 
-    Parameters
-    ----------
-    folder : Path
-        Of files ``NAME.npz`` that :func:`pack` wrote and of folders ``NAME`` of trainings; of both the latter count.
-
-    Returns
-    -------
-    dict
-        In the order of the names, for :func:`read_trainings`.
+    They are files ``NAME.npz`` that :func:`pack` wrote and folders ``NAME`` of trainings; of both the latter count.
     """
     places = {file.stem: file for file in folder.glob("*.npz")}
     return dict(sorted((places | {place.name: place for place in folder.glob("*/") if _folders(place)}).items()))
@@ -374,13 +304,14 @@ def _unpacked(recipe: dict[str, Any], saved: dict[str, Any], arrays: archive.Arr
 
 
 def _training(
-    recipe: DeepRecipe, policy: Any, curve: Sequence[Evaluation], trail: Sequence[tuple[int, Network]] = ()
+    recipe: DeepRecipe, policy: Any, curve: Sequence[Evaluation], networks: Sequence[Network] = ()
 ) -> Training:
     columns = {
         name: np.array(column) for name, column in zip(Evaluation._fields, zip(*curve, strict=True), strict=True)
     }
     last, sample_time = curve[-1], math.nan if recipe.env else recipe.rig.sample_time
     samples = 1 if recipe.env else recipe.samples
+    experience = columns["steps"] * samples * sample_time
     tests = 0 if recipe.env else len(curve) * recipe.evaluation_starts * _evaluated(recipe.task, recipe.rig).steps
     return Training(
         policy=policy,
@@ -392,13 +323,9 @@ def _training(
             sample_time=sample_time,
             cpu_seconds=last.cpu_seconds,
         ),
-        curve=columns | {"experience": columns["steps"] * samples * sample_time},
-        details={"best": np.array(curve.index(_best(curve)))},
-        trail=Trail(
-            np.array([step for step, _ in trail]) * samples * sample_time,
-            [network for _, network in trail],
-            partial(_policy, recipe),
-        ),
+        curve=columns | {"experience": experience},
+        details={"best": np.array(_best(curve))},
+        trail=Trail(experience, networks, partial(_policy, recipe)),
     )
 
 
@@ -417,9 +344,9 @@ def _steps_within(recipe: DeepRecipe, seconds: float | None) -> int:
     return min(steps, recipe.steps)
 
 
-def _best(curve: Sequence[Evaluation]) -> Evaluation:
-    """Return the evaluation of the highest score, the latest among equals."""
-    return max(reversed(curve), key=lambda seen: seen.score)
+def _best(curve: Sequence[Evaluation]) -> int:
+    """Return the place of the highest score, the latest among equals."""
+    return max(range(len(curve)), key=lambda place: (curve[place].score, place))
 
 
 def _good(recipe: DeepRecipe, seen: Evaluation) -> bool:
@@ -436,11 +363,6 @@ def _evaluation(recipe: DeepRecipe, network: Network, seed: int) -> tuple[float,
     return success, success, variation
 
 
-def _network(arrays: Any) -> Network:
-    """Return a network from arrays that were kept in a checkpoint."""
-    return Network.from_arrays(about={}, **{name: np.asarray(array) for name, array in arrays.items()})
-
-
 def learner_class(recipe: DeepRecipe) -> Callable[[DeepRecipe, int], Any]:
     """Return what trains a recipe; importing it takes torch or JAX."""
     if recipe.library == "jax":
@@ -454,8 +376,7 @@ def _policy(recipe: DeepRecipe, network: Network, about: dict[str, Any] | None =
     """Return the controller that a network is; of another environment, the network alone."""
     about = {"name": recipe.name} if about is None else about
     if recipe.env:
-        layers = network.weights, network.biases
-        return Network(*layers, activation=network.activation, squash=network.squash, about=about)
+        return Network.from_arrays(about=about, **network.arrays())
     return MLPPolicy(
         network,
         scales=observation_scales(recipe.rig),
@@ -465,22 +386,9 @@ def _policy(recipe: DeepRecipe, network: Network, about: dict[str, Any] | None =
     )
 
 
-def _about(recipe: DeepRecipe, seed: int, command: str, evaluation: Evaluation) -> dict[str, Any]:
-    """Return the provenance of a policy."""
-    return {
-        "name": recipe.name,
-        "recipe": recipe.to_dict(),
-        "seed": seed,
-        "command": command,
-        "evaluation": evaluation._asdict(),
-        "versions": _versions(recipe),
-    }
-
-
 def _versions(recipe: DeepRecipe) -> dict[str, str]:
-    packages = {"sbx": "sbx-rl"}
     return versions() | {
-        library: metadata.version(packages.get(library, library)) for library in NEEDED[recipe.library]
+        library: metadata.version("sbx-rl" if library == "sbx" else library) for library in NEEDED[recipe.library]
     }
 
 
@@ -506,17 +414,7 @@ def _write_curve(file: Path, curve: Sequence[Evaluation]) -> None:
 
 
 def read_curve(file: Path) -> list[Evaluation]:
-    """Read what :func:`train_deep` wrote.
-
-    Parameters
-    ----------
-    file : Path
-        A ``curve.csv``.
-
-    Returns
-    -------
-    list of Evaluation
-    """
+    """Return the evaluations in a ``curve.csv`` that :func:`train_deep` wrote."""
     with file.open(newline="", encoding="utf-8") as stream:
         lines = list(csv.reader(stream))[1:]
     return [Evaluation(int(line[0]), *map(float, line[1:])) for line in lines]

@@ -6,7 +6,7 @@ r"""Stable-Baselines3 at work: the adapter of vector environments, CAPS in PPO's
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
@@ -41,30 +41,20 @@ class Copies(VecEnv):
     On our plant, observations are :func:`dpend.shaping.observe`'s, and
     :math:`w\,|a_t - a_{t-1}|\,e^{-5(2 - \cos\theta_1 - \cos\theta_2)}` is taken off the reward; an episode begins with
     :math:`a_{-1} = 0`.  The attribute ``grown`` says which share of the recipe's weight :math:`w` is now.
-
-    Parameters
-    ----------
-    envs : gymnasium.vector.VectorEnv
-        The environments, which start again in the step that ends an episode.
-    recipe : DeepRecipe
-        Says what is seen and rewarded.
     """
 
     def __init__(self, envs: gym.vector.VectorEnv[Any, Any, Any], recipe: DeepRecipe) -> None:
-        self._envs = envs
+        self._envs = envs  # which start again in the step that ends an episode
         self._own = not recipe.env
         self._scales = observation_scales(recipe.rig)
         self._action_rate = recipe.action_rate
         self.grown = 0.0
-        self._last: Array | None = np.zeros(envs.num_envs) if recipe.action_rate else None
+        self._last = np.zeros(envs.num_envs)
         box = cast(spaces.Box, envs.single_action_space)
         if not isinstance(box, spaces.Box) or box.shape is None or len(box.shape) != 1:
             raise ValueError(f"Deep learners here have continuous actions; got {envs.single_action_space}.")
         self._half_range, self._middle = (box.high - box.low) / 2, (box.high + box.low) / 2
-        if self._own:
-            width = 8 if self._last is None else 9
-        else:
-            width = int(np.prod(envs.single_observation_space.shape or ()))
+        width = 8 + bool(recipe.action_rate) if self._own else int(np.prod(envs.single_observation_space.shape or ()))
         observed = spaces.Box(-np.inf, np.inf, (width,), dtype=np.float32)
         super().__init__(envs.num_envs, observed, spaces.Box(-1.0, 1.0, box.shape, dtype=np.float32))
         self._actions: Any = np.zeros((envs.num_envs, *box.shape), dtype=np.float32)
@@ -74,8 +64,7 @@ class Copies(VecEnv):
         """Begin an episode in every copy."""
         seed, self._seeds[0] = self._seeds[0], None
         y, _ = self._envs.reset(seed=seed)
-        if self._last is not None:
-            self._last[:] = 0.0
+        self._last[:] = 0.0
         return self._observed(y, self._last)
 
     def step_async(self, actions: Any) -> None:
@@ -86,29 +75,27 @@ class Copies(VecEnv):
         """Take a step in every copy."""
         y, rewards, terminated, truncated, seen = self._envs.step(self._actions * self._half_range + self._middle)
         done = terminated | truncated
-        last, rows = self._last, np.flatnonzero(done)
-        arrived = y
+        arrived, rows = np.array(y), np.flatnonzero(done)
         if len(rows):
-            arrived = np.array(y)
             arrived[rows] = np.stack(list(seen["final_obs"][rows]))
-        if last is not None:
+        if self._action_rate:
             a = np.clip(self._actions[:, 0].astype(np.float64), -1.0, 1.0)
             near = nearness(np.cos(arrived[:, 1]), np.cos(arrived[:, 2]))
-            rewards = rewards - self.grown * self._action_rate * np.abs(a - last) * near
-            last = self._last = a
+            rewards = rewards - self.grown * self._action_rate * np.abs(a - self._last) * near
+            self._last = a
         infos = self._nothing
         if len(rows):
             infos = self._nothing.copy()
-            finals = self._observed(arrived[rows], None if last is None else last[rows])
-            for row, final in zip(rows, finals, strict=True):
+            for row, final in zip(rows, self._observed(arrived[rows], self._last[rows]), strict=True):
                 cut = bool(truncated[row] and not terminated[row])
                 infos[row] = {"terminal_observation": final, "TimeLimit.truncated": cut}
-            if last is not None:
-                last[rows] = 0.0
-        return self._observed(y, last), rewards.astype(np.float32), done, infos
+            self._last[rows] = 0.0
+        return self._observed(y, self._last), rewards.astype(np.float32), done, infos
 
-    def _observed(self, y: Any, last: Array | None) -> Any:
-        return (observe(y, self._scales, last) if self._own else np.asarray(y)).astype(np.float32)
+    def _observed(self, y: Any, last: Array) -> Any:
+        if not self._own:
+            return np.asarray(y, dtype=np.float32)
+        return observe(y, self._scales, last if self._action_rate else None).astype(np.float32)
 
     def close(self) -> None:
         """Close the environments."""
@@ -220,15 +207,7 @@ class NormalisedSACPolicy(_Normalised, SACPolicy):
 
 
 class Learner:
-    """A model of Stable-Baselines3 in its environments.
-
-    Parameters
-    ----------
-    recipe : DeepRecipe
-        What it learns, and how.
-    seed : int
-        What all randomness is drawn from.
-    """
+    """A model of Stable-Baselines3 in the environments of a recipe."""
 
     def __init__(self, recipe: DeepRecipe, seed: int) -> None:
         torch.set_num_threads(1)
@@ -241,10 +220,7 @@ class Learner:
         recipe = self._recipe
         net: dict[str, Any] = {"net_arch": list(recipe.net)}
         if recipe.algo == "ppo":
-            own: dict[str, Any] = net | {"log_std_init": float(np.log(recipe.noise))}
             caps = recipe.ppo.caps if any(recipe.ppo.caps or ()) else None
-            if caps:
-                own["caps"] = caps
             return PPO(
                 CAPSPolicy if caps else "MlpPolicy",
                 self._env,
@@ -254,7 +230,7 @@ class Learner:
                 target_kl=recipe.ppo.target_kl,
                 ent_coef=1.0 if caps else 0.0,
                 rollout_buffer_class=PairedBuffer if caps else None,
-                policy_kwargs=own,
+                policy_kwargs=net | {"log_std_init": float(np.log(recipe.noise))} | ({"caps": caps} if caps else {}),
                 **self._shared(),
             )
         normalised: Any = NormalisedSACPolicy if recipe.algo == "sac" else NormalisedTD3Policy
@@ -324,21 +300,14 @@ class Learner:
         """Return the actor as plain arrays."""
         policy = self._model.policy
         if self._recipe.algo == "ppo":
-            layers = [*policy.mlp_extractor.policy_net, policy.action_net]
-            functions = "tanh", "clip"
-        elif self._recipe.algo == "sac":
-            layers = [*policy.actor.latent_pi, policy.actor.mu]
-            functions = "relu", "tanh"
+            layers, activation, squash = [*policy.mlp_extractor.policy_net, policy.action_net], "tanh", "clip"
         else:
-            layers = list(policy.actor.mu)
-            functions = "relu", "tanh"
+            mean = policy.actor.mu
+            layers = [*policy.actor.latent_pi, mean] if self._recipe.algo == "sac" else [*mean]
+            activation, squash = "relu", "tanh"
         linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
-        return Network(
-            [layer.weight.detach().numpy() for layer in linear],
-            [layer.bias.detach().numpy() for layer in linear],
-            activation=functions[0],
-            squash=functions[1],
-        )
+        weights, biases = ([getattr(layer, name).detach().numpy() for layer in linear] for name in ("weight", "bias"))
+        return Network(weights, biases, activation=activation, squash=squash)
 
     def save(self, path: Path, beside: dict[str, Any]) -> None:
         """Write all that is needed to go on, to the end or not at all; ``beside`` holds arrays, numbers and words."""
@@ -376,31 +345,17 @@ class Learner:
     def _learned(self) -> dict[str, Any]:
         """Return all that updates have changed."""
         model = self._model
-        learned: dict[str, Any] = {
-            "policy": model.policy.state_dict(),
-            "optimizers": [optimizer.state_dict() for optimizer in self._optimizers()],
-        }
+        learned = model.get_parameters()
         if isinstance(model, SAC) and model.log_ent_coef is not None:
             learned["entropy"] = model.log_ent_coef.detach()
         return learned
 
     def _learn_again(self, learned: dict[str, Any]) -> None:
         """Load what :meth:`_learned` returned."""
-        model = self._model
-        model.policy.load_state_dict(learned["policy"])
-        for optimizer, saved in zip(self._optimizers(), learned["optimizers"], strict=True):
-            optimizer.load_state_dict(saved)
-        if isinstance(model, SAC) and model.log_ent_coef is not None:
-            model.log_ent_coef.data.copy_(learned["entropy"])
-
-    def _optimizers(self) -> Sequence[torch.optim.Optimizer]:
-        model = self._model
-        if isinstance(model, PPO):
-            return [model.policy.optimizer]
-        own = [model.actor.optimizer, model.critic.optimizer]
-        if isinstance(model, SAC) and model.ent_coef_optimizer is not None:
-            own.append(model.ent_coef_optimizer)
-        return own
+        entropy = learned.pop("entropy", None)
+        self._model.set_parameters(learned, device="cpu")
+        if entropy is not None:
+            self._model.log_ent_coef.data.copy_(entropy)
 
 
 _REPLAY = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
