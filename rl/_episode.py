@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from dpend.episode import Rule, rule_of
-from dpend.kernels import inline, sample, status_code
+from dpend.kernels import compiled, inline, sample, status_code, wrap_angle
 from dpend.params import Coefficients
 from dpend.rig import Rig
 from dpend.tasks import Balance, SwingUp
+
+from . import features
+
+value_features = inline(features.make_value_features(wrap_angle))
+slope_features = inline(features.slope_features)
 
 
 class Episode(NamedTuple):
@@ -26,6 +32,29 @@ class Episode(NamedTuple):
     substep: float
     substeps: int
     coefficients: Coefficients
+
+
+class Records(NamedTuple):
+    """What a compiled loop records of its episodes, a row each."""
+
+    length: npt.NDArray[Any]
+    reward: npt.NDArray[Any]
+    success: npt.NDArray[Any]
+    upright: npt.NDArray[Any]
+    """Longest time that both links were up, samples, where a learner records it."""
+    angles: npt.NDArray[Any]
+    """Those of the start, rad, likewise."""
+    weights: npt.NDArray[Any]
+
+    @classmethod
+    def zeros(cls, n: int, weights: int) -> Records:
+        """Return the records of ``n`` episodes that learn so many weights, before they begin."""
+        length, upright = np.zeros((2, n), dtype=np.int64)
+        return cls(length, np.zeros(n), np.zeros(n, dtype=np.bool_), upright, np.zeros((n, 2)), np.zeros((n, weights)))
+
+    def rows(self, first: int, end: int) -> Records:
+        """Return the records of the episodes from the first to before the end; writing to them writes to these."""
+        return Records(*(column[first:end] for column in self))
 
 
 def episode(rig: Rig, task: Balance | SwingUp, angle_cut: float | None = None) -> Episode:
@@ -69,3 +98,24 @@ def moved(e, x, force):
 def ended(e, x):
     """Return whether a state is beyond the track's end or a bound on the angles; NaN is."""
     return status_code(x, e.rule.bounds) != 0
+
+
+@compiled
+def rollout(K, noise, limit, e, rng, x, fresh, z, following):
+    """Fill in states, forces -Kx with noise within a limit, and the states that followed, until the episode ends.
+
+    It goes on from the state ``x``, or begins afresh.  Returns the samples filled in, and whether the episode ended.
+    """
+    state = started(e, rng) if fresh else (x[0], x[1], x[2], x[3], x[4], x[5])
+    for k in range(len(z)):
+        a = noise * rng.standard_normal()
+        for i in range(6):
+            a -= K[i] * state[i]
+        a = min(max(a, -limit), limit)
+        z[k, :6] = state
+        z[k, 6] = a
+        state = moved(e, state, a)
+        following[k] = state
+        if ended(e, state):
+            return k + 1, True
+    return len(z), False

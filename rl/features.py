@@ -34,17 +34,9 @@ CART_FEATURES = tuple(i for i, name in enumerate(TABLE1) if "pos" in name or "ve
 
 
 def make_value_features(wrap_angle=wrap_angle):
-    r"""Build :math:`\varphi(s)`, the twelve features that do not depend on the action.
+    r"""Return :math:`\varphi(s)`, the twelve features without the action, as a function of a state that unpacks to six.
 
-    Parameters
-    ----------
-    wrap_angle : callable, optional
-        :func:`dpend.state.wrap_angle`, in the form the kind of number needs (numba wants it compiled).
-
-    Returns
-    -------
-    callable
-        Of a state that unpacks to six numbers.
+    :func:`dpend.state.wrap_angle` comes in the form that the kind of number needs; numba wants it compiled.
     """
 
     def value_features(x):
@@ -72,17 +64,7 @@ def quadratic_features(z: Array) -> Array:
 
 
 def quadratic_form(w: npt.NDArray[np.floating]) -> Array:
-    r"""Return the symmetric :math:`H` with :math:`z^\top H z = w^\top x(z)` over the quadratic features.
-
-    Parameters
-    ----------
-    w : ndarray (k (k + 1) / 2,)
-        Weights of the products, in the order of an upper triangle.
-
-    Returns
-    -------
-    ndarray (k, k)
-    """
+    r"""Return the symmetric :math:`H` (k, k) with :math:`z^\top H z = w^\top x(z)`, for w (k (k + 1) / 2,)."""
     k = round((np.sqrt(8 * len(w) + 1) - 1) / 2)
     H = np.zeros((k, k))
     H[np.triu_indices(k)] = 0.5 * np.asarray(w)

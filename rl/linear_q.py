@@ -16,12 +16,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Annotated
 
 import numpy as np
 
 from dpend.deprecation import renamed_arguments
-from dpend.kernels import compiled, counted, inline, links_upright, report_cost, status_code, succeeded, wrap_angle
+from dpend.kernels import compiled, counted, inline, links_upright, report_cost, status_code, succeeded
 from dpend.params import Array
 from dpend.rig import Rig
 from dpend.simulate import simulate_many
@@ -29,13 +29,16 @@ from dpend.suggest import suggests
 from dpend.tasks import Balance, SwingUp, check_lam
 
 from . import features
-from ._episode import episode, moved, started
+from ._episode import Records, episode, moved, slope_features, started, value_features
 from .features import CART_FEATURES, TABLE1
 from .policies import LinearQPolicy
-from .training import Outcome, Progress, Seed, Session, Training, check_settings, is_vector, training_rig
+from .settings import Nonnegative, Portion, Positive, Share, Whole, check_settings, numbers
+from .training import Outcome, Progress, Seed, Session, Training, training_rig
 
 REPORT_FORCES = (0.0, 5.0, -5.0, 10.0, -10.0, 20.0, -20.0, 40.0, -40.0)
 """The report's action set, N."""
+
+Weights = Annotated[Sequence[float], numbers(f"{len(TABLE1)} finite numbers", len(TABLE1))]
 
 # Scales of the tuned variant, by state (pos, th1, th2, vel, om1, om2): of the value features, and of the action's.
 _VALUE_SCALES = (0.35846, 1.68729, 2.74029, 0.128418, 0.340911, 0.343562)
@@ -87,30 +90,25 @@ class LinearQLearning:
         Initial weights, such as those of a policy, to go on learning from.
     init_std : float
         Without them, standard deviation of the normal numbers that they are drawn from; zero for the report's zeros.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range, or the rig is not ideal.
     """
 
     rig: Rig = field(kw_only=False)
     task: Balance | SwingUp = Balance()  # noqa: RUF009  (frozen)
-    scales: Sequence[float] = (1.0,) * len(TABLE1)
+    scales: Weights = (1.0,) * len(TABLE1)
     forces: Sequence[float] = REPORT_FORCES
-    alpha: float = 1e-4
-    alpha_decay: float = 0.0
-    gamma: float = 0.99
-    epsilon: float = 0.01
-    epsilon_decay: float = 0.0
+    alpha: Positive = 1e-4
+    alpha_decay: Nonnegative = 0.0
+    gamma: Portion = 0.99
+    epsilon: Share = 0.01
+    epsilon_decay: Nonnegative = 0.0
     bootstrap_failure: bool = True
-    streak: int = 20
+    streak: Whole = 20
     acceptance: Sequence[tuple[float, float]] = ()
-    acceptance_episodes: int = 100
-    restart_after: int | None = None
-    max_episodes: int = 2000
-    initial: Sequence[float] | None = None
-    init_std: float = 0.0
+    acceptance_episodes: Whole = 100
+    restart_after: Whole | None = None
+    max_episodes: Whole = 2000
+    initial: Weights | None = None
+    init_std: Nonnegative = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rig", training_rig(self.rig, "LinearQLearning"))
@@ -129,37 +127,19 @@ class LinearQLearning:
             check_lam(lam)
             if not 0 <= share <= 1:
                 raise ValueError(f"acceptance names pairs (lambda, share) with a share within 0 and 1; got {test!r}.")
-        if not is_vector(self.scales, len(TABLE1)):
-            raise ValueError(f"scales must be {len(TABLE1)} finite numbers; got {self.scales!r}.")
-        if self.initial is not None and not is_vector(self.initial, len(TABLE1)):
-            raise ValueError(f"initial must be {len(TABLE1)} finite numbers; got {self.initial!r}.")
         forces, limit = np.asarray(self.forces, dtype=np.float64), self.rig.force_limit
         if forces.ndim != 1 or not len(forces) or not (np.abs(forces) <= limit).all():
             raise ValueError(
                 f"forces must be a list of forces within the rig's limit of {limit:g} N; got {self.forces!r}."
             )
-        check_settings(
-            self,
-            whole=("streak", "acceptance_episodes", "max_episodes", "restart_after"),
-            positive=("alpha",),
-            nonnegative=("alpha_decay", "epsilon_decay", "init_std"),
-            portion=("gamma",),
-            share=("epsilon",),
-        )
+        check_settings(self)
 
     @classmethod
     def published(cls, rig: Rig | str, *, task: Balance | None = None, cart_features: bool = True) -> LinearQLearning:
         """Return the report's learner to the letter; what the report leaves unstated may be chosen.
 
-        Parameters
-        ----------
-        rig : Rig or str
-            The rig, or the name of a preset.
-        task : Balance, optional
-            Cost weights and failure cost, which the report does not state; left out, those of the code published with
-            it, and the report's own criterion of falling, link 1 alone.
-        cart_features : bool
-            Whether the six features of the cart's position and velocity take part.
+        The task states the cost, which the report does not; left out, it is that of the code published with it, and
+        link 1 alone falls.  ``cart_features`` says whether the six features of position and velocity take part.
         """
         scales = tuple(1.0 if cart_features or i not in CART_FEATURES else 0.0 for i in range(len(TABLE1)))
         return cls(training_rig(rig, "LinearQLearning"), task=task or Balance(criterion="report"), scales=scales)
@@ -168,15 +148,9 @@ class LinearQLearning:
     def tuned(cls, rig: Rig | str, *, select: bool = True) -> LinearQLearning:
         """Return the same algorithm and features with the deviations that ``docs/linear-q-learning.md`` numbers.
 
-        The numbers were tuned on the preset ``gustafsson2016``; on another rig they are a start.
-
-        Parameters
-        ----------
-        rig : Rig or str
-            The rig, or the name of a preset.
-        select : bool
-            Whether acceptance tests and restarts take part; without, 20 successes in a row are enough, as in the
-            published variant.
+        The numbers were tuned on the preset ``gustafsson2016``; on another rig they are a start.  ``select`` says
+        whether acceptance tests and restarts take part; without, 20 successes in a row are enough, as in the published
+        variant.
         """
         value_scales = np.repeat(_VALUE_SCALES, 2)
         slope_scales = np.array(features.slope_features(_SLOPE_SCALES)) / max(REPORT_FORCES)
@@ -204,12 +178,10 @@ class LinearQLearning:
         """
         session = Session(self, seed, seconds, progress, _STREAM)
         rng, plant = session.rng, episode(self.rig, self.task)
-        settings = _Settings(*(getattr(self, name) for name in _Settings._fields))
+        steps = self.alpha, self.alpha_decay, self.gamma, self.epsilon, self.epsilon_decay, self.bootstrap_failure
         scales, forces = np.array(self.scales, dtype=np.float64), np.array(self.forces, dtype=np.float64)
         most, longest_test = self.max_episodes, len(self.acceptance) * self.acceptance_episodes * self.task.steps
-        lengths, upright, tested = (np.zeros(most, dtype=np.int64) for _ in range(3))
-        rewards, success, history = np.zeros(most), np.zeros(most, dtype=np.bool_), np.zeros((most, len(TABLE1)))
-        angles = np.zeros((most, 2))
+        records, tested = Records.zeros(most, len(TABLE1)), np.zeros(most, dtype=np.int64)
         weights = self._initial(rng)
         episodes = age = streak = restarts = 0
         outcome = Outcome.BUDGET_SPENT
@@ -219,14 +191,13 @@ class LinearQLearning:
                 age = streak = 0
                 restarts += 1
             chunk = min(_CHUNK, most - episodes, (self.restart_after or most) - age)
-            rows = slice(episodes, episodes + chunk)
-            records = lengths[rows], rewards[rows], upright[rows], success[rows], history[rows], angles[rows]
+            rows = records.rows(episodes, episodes + chunk)
             done, streak, finite = _run_episodes(
-                weights, scales, forces, settings, plant, age, streak, session.left, rng, *records
+                weights, scales, forces, steps, plant, age, streak, self.streak, session.left, rng, rows
             )
             episodes += done
             age += done
-            session.spent = int(lengths.sum() + tested.sum())
+            session.spent = int(records.length.sum() + tested.sum())
             session.report(episodes / most)
             if not finite:
                 outcome = Outcome.DIVERGED
@@ -240,15 +211,15 @@ class LinearQLearning:
                     outcome = Outcome.CONVERGED
                     break
                 streak = 0
-        kept = {"length": lengths, "reward": rewards, "success": success, "upright": upright, "tested": tested}
-        curve = {name: each[:episodes] for name, each in kept.items()}
+        curve = records.rows(0, episodes)._asdict() | {"tested": tested[:episodes]}
+        history, angles = curve.pop("weights"), curve.pop("angles")
         return session.training(
             outcome,
             partial(LinearQPolicy, scales=scales, forces=forces),
             weights,
-            (np.cumsum(curve["length"] + curve["tested"]), history[:episodes]),
+            (np.cumsum(curve["length"] + curve["tested"]), history),
             curve,
-            {"weights": history[:episodes], "angles": angles[:episodes], "restarts": np.array(restarts)},
+            {"weights": history, "angles": angles, "restarts": np.array(restarts)},
         )
 
     def _initial(self, rng: np.random.Generator) -> Array:
@@ -269,28 +240,12 @@ class LinearQLearning:
         return True, samples
 
 
-class _Settings(NamedTuple):
-    """What the compiled loop needs to know beside the episode."""
-
-    alpha: float
-    alpha_decay: float
-    gamma: float
-    epsilon: float
-    epsilon_decay: float
-    bootstrap_failure: bool
-    streak: int
-
-
-_value_features = inline(features.make_value_features(wrap_angle))
-_slope_features = inline(features.slope_features)
-
-
 @inline
 def _write_features(x, scales, value, slope):
     """Write the scaled features of a state: those without the action, and the factors of the action."""
-    value[:] = _value_features(x)
+    value[:] = value_features(x)
     value *= scales[:12]
-    slope[:] = _slope_features(x)
+    slope[:] = slope_features(x)
     slope *= scales[12:]
 
 
@@ -317,31 +272,30 @@ def _greedy(g, forces):
 
 
 @compiled
-def _run_episodes(
-    w, scales, forces, settings, e, age, streak, budget, rng, lengths, rewards, upright, success, history, angles
-):
+def _run_episodes(w, scales, forces, steps, e, age, streak, enough, budget, rng, records):
     """Run Algorithm 1 for some episodes, changing ``w`` in place; stop early at the streak, the budget or overflow.
 
     Returns the episodes completed, the successes in a row at their end, and whether the weights are still finite.
     """
-    s, rule = settings, e.rule
+    first_alpha, alpha_decay, gamma, first_epsilon, epsilon_decay, bootstrap_failure = steps
+    rule = e.rule
     value, slope = np.empty(12), np.empty(6)
     x_sa, w_next = np.empty(18), np.empty(18)
-    for k in range(len(lengths)):
-        alpha = s.alpha / (1.0 + s.alpha_decay * (age + k))
-        exploration = s.epsilon / (1.0 + s.epsilon_decay * (age + k))
+    for k in range(len(records.length)):
+        alpha = first_alpha / (1.0 + alpha_decay * (age + k))
+        epsilon = first_epsilon / (1.0 + epsilon_decay * (age + k))
         x = started(e, rng)
-        angles[k, 0], angles[k, 1] = x[1], x[2]
+        records.angles[k, 0], records.angles[k, 1] = x[1], x[2]
         up_for = counted(-1, links_upright(x, rule.target, rule.upright_angle))
         _write_features(x, scales, value, slope)
         code = 0
         t = 0
         while t < e.steps and code == 0:
             if t >= budget:
-                lengths[k] = t  # an episode that the budget cuts off counts by its samples only
+                records.length[k] = t  # an episode that the budget cuts off counts by its samples only
                 return k, streak, True
             c, g = _line(w, value, slope)
-            a = forces[rng.integers(0, len(forces))] if rng.random() < exploration else _greedy(g, forces)
+            a = forces[rng.integers(0, len(forces))] if rng.random() < epsilon else _greedy(g, forces)
             x_sa[:12] = value
             for i in range(6):
                 x_sa[12 + i] = a * slope[i]
@@ -350,13 +304,13 @@ def _run_episodes(
             x = moved(e, x, a)
             code = status_code(x, rule.bounds)
             up_for = counted(up_for, links_upright(x, rule.target, rule.upright_angle))
-            upright[k] = max(upright[k], up_for)
+            records.upright[k] = max(records.upright[k], up_for)
             reward = -report_cost(x, code, rule.target, rule.weights, rule.failure_cost)
             _write_features(x, scales, value, slope)
             target = reward
-            if s.bootstrap_failure or code == 0:
+            if bootstrap_failure or code == 0:
                 c, g = _line(w, value, slope)
-                target += s.gamma * (c + _greedy(g, forces) * g)
+                target += gamma * (c + _greedy(g, forces) * g)
             step = alpha * (target - q)
             finite = True
             for i in range(18):
@@ -365,13 +319,13 @@ def _run_episodes(
             if not finite:
                 return k, streak, False
             w[:] = w_next
-            rewards[k] += reward
+            records.reward[k] += reward
             t += 1
         budget -= t
-        lengths[k] = t
-        history[k] = w
-        success[k] = succeeded(code, up_for, rule.hold)
-        streak = streak + 1 if success[k] else 0
-        if streak >= s.streak:
+        records.length[k] = t
+        records.weights[k] = w
+        records.success[k] = succeeded(code, up_for, rule.hold)
+        streak = streak + 1 if records.success[k] else 0
+        if streak >= enough:
             return k + 1, streak, True
-    return len(lengths), streak, True
+    return len(records.length), streak, True

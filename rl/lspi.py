@@ -15,9 +15,8 @@ R. Parr, *Least-squares policy iteration*, 2003.  ``docs/lspi.md`` says what it 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,29 +27,18 @@ from dpend.rig import Rig
 from dpend.suggest import suggests
 from dpend.tasks import Balance
 
-from ._episode import ended, episode, moved, started
+from ._episode import ended, episode, moved, rollout, started
 from .features import QUADRATIC, quadratic_features, quadratic_form
 from .policies import GainPolicy
-from .training import Outcome, Progress, Seed, Session, Training, check_settings, is_vector, training_rig
+from .settings import Angle, Diagonal, Portion, Positive, Scales, Whole, at_least, check_settings, must
+from .training import Outcome, Progress, Seed, Session, Training, training_rig
 
 _SETTLED = 0.1  # a gain has settled where the last tenth of them is within this of the last, relative to its norm
 _STREAM = 2003  # sets learning apart from starts drawn with the same seed
 
 
 def gain_errors(gains: Array, K: npt.ArrayLike) -> Array:
-    r"""Return :math:`\|K_i - K\| / \|K\|` of gains against another.
-
-    Parameters
-    ----------
-    gains : ndarray (m, 6)
-        The gains, such as ``training.details["gains"]``.
-    K : array_like (6,) or (1, 6)
-        The gain to compare with.
-
-    Returns
-    -------
-    ndarray (m,)
-    """
+    r"""Return :math:`\|K_i - K\| / \|K\|`, (m,), of gains (m, 6) against another, (6,) or (1, 6)."""
     reference = np.asarray(K, dtype=np.float64).reshape(6)
     return np.linalg.norm(gains - reference, axis=1) / np.linalg.norm(reference)
 
@@ -58,21 +46,8 @@ def gain_errors(gains: Array, K: npt.ArrayLike) -> Array:
 def fit_q(z: Array, costs: Array, z_next: Array, gamma: float) -> Array:
     r"""Return :math:`H` of :math:`\hat q = z^\top H z` by LSTD-Q, :math:`\sum x (x - \gamma x')^\top w = \sum x\,c`.
 
-    Parameters
-    ----------
-    z : ndarray (n, k)
-        States and the action taken, the action last.
-    costs : ndarray (n,)
-        Cost of each.
-    z_next : ndarray (n, k)
-        The states that followed, and the action that the policy to be evaluated would take there.
-    gamma : float
-        Discount factor.
-
-    Returns
-    -------
-    ndarray (k, k)
-        Symmetric.
+    The rows of z (n, k) are states and the action taken, the action last, with their costs (n,); those of z_next are
+    the states that followed and the action that the evaluated policy would take there.  H (k, k) is symmetric.
     """
     scales = 1.0 / np.sqrt(np.mean(z**2, axis=0) + 1e-12)  # products of raw states span ten decades
     x, x_next = quadratic_features(z * scales), quadratic_features(z_next * scales)
@@ -81,16 +56,9 @@ def fit_q(z: Array, costs: Array, z_next: Array, gamma: float) -> Array:
 
 
 def greedy_gain(H: Array) -> Array | None:
-    r"""Return :math:`K = H_{aa}^{-1} H_{as}`, the gain of least :math:`z^\top H z`; None where there is no least.
+    r"""Return :math:`K = H_{aa}^{-1} H_{as}`, (k - 1,), the gain of least :math:`z^\top H z`; None where none is.
 
-    Parameters
-    ----------
-    H : ndarray (k, k)
-        Symmetric, the action last.
-
-    Returns
-    -------
-    ndarray (k - 1,) or None
+    H (k, k) is symmetric and has the action last.
     """
     if not (np.isfinite(H).all() and H[-1, -1] > 0):
         return None
@@ -102,31 +70,40 @@ class _GainLearner:
     """What both learners have alike: the plant, the cost, the discount and how they practise."""
 
     rig: Rig = field(kw_only=False)
-    state_weights: Sequence[float] = (1.0, 10.0, 10.0, 1.0, 1.0, 1.0)
-    force_weight: float = 0.1
-    gamma: float = 0.99
-    gamma_start: float = 0.6
-    noise: float = 2.0
-    lam: float = 0.02
-    angle_cut: float = 0.1
-    episode_steps: int = 100
+    state_weights: Diagonal = (1.0, 10.0, 10.0, 1.0, 1.0, 1.0)
+    force_weight: Positive = 0.1
+    gamma: Portion = 0.99
+    gamma_start: Portion = 0.6
+    noise: Positive = 2.0
+    lam: Angle = 0.02
+    angle_cut: Angle = 0.1
+    episode_steps: Whole = 100
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rig", training_rig(self.rig, type(self).__name__))
+        check_settings(self)
 
     @property
     def task(self) -> Balance:
         """Balancing, in episodes of its own."""
         return Balance(lam=self.lam, steps=self.episode_steps)
 
-    def _check(self, *own: tuple[str, bool, str], whole: Sequence[str], **ranges: Sequence[str]) -> None:
-        """Refuse settings that make no sense, before anything runs."""
-        object.__setattr__(self, "rig", training_rig(self.rig, type(self).__name__))
-        check_settings(
-            self,
-            ("state_weights", is_vector(self.state_weights, 6, 0.0), "6 finite numbers, at least 0"),
-            *own,
-            whole=(*whole, "episode_steps"),
-            positive=("force_weight", "noise", *ranges.pop("positive", ())),
-            portion=("gamma", "gamma_start", *ranges.pop("portion", ())),
-            angle=("lam", "angle_cut"),
+    def _training(
+        self, session: Session, gains: Array, ends: npt.NDArray[Any], lengths: npt.NDArray[Any], *, finite: bool = True
+    ) -> Training:
+        """Return the training of the gains after so many samples, with the lengths of the episodes that ended."""
+        latest = gains[-max(len(gains) // 10, 2) :]
+        with np.errstate(over="ignore", invalid="ignore"):
+            away = np.linalg.norm(latest - gains[-1], axis=1).max()
+            settled = len(latest) > 1 and away <= _SETTLED * np.linalg.norm(gains[-1]) and gains[-1].any()
+        outcome = Outcome.CONVERGED if settled else Outcome.BUDGET_SPENT
+        return session.training(
+            outcome if finite else Outcome.DIVERGED,
+            GainPolicy,
+            gains[-1],
+            (ends, gains),
+            {"length": lengths},
+            {"gains": gains, "samples": ends},
         )
 
 
@@ -169,25 +146,13 @@ class LSPI(_GainLearner):
         An episode is cut where a link leans more, rad.  Not a failure: its last sample is a sample like any other.
     episode_steps : int
         An episode is cut after so many samples, too.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range, or the rig is not ideal.
     """
 
-    anneal: int = 50
-    iterations: int = 60
-    samples: int = 100
-    keep: int = 300
-    step: float = 0.5
-
-    def __post_init__(self) -> None:
-        self._check(
-            ("keep", self.keep >= len(QUADRATIC), f"at least {len(QUADRATIC)}, the number of features"),
-            whole=("iterations", "samples", "keep", "anneal"),
-            portion=("step",),
-        )
+    anneal: Whole = 50
+    iterations: Whole = 60
+    samples: Whole = 100
+    keep: Annotated[Whole, at_least(len(QUADRATIC), ", the number of features")] = 300
+    step: Portion = 0.5
 
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
         """Learn from zero gain, as every :class:`rl.Learner` does; the last iteration may have fewer samples.
@@ -197,26 +162,31 @@ class LSPI(_GainLearner):
         ended; ``details`` has ``gains`` (m, 6) after each iteration, N per unit of each state, and the ``samples`` (m,)
         up to each.
         """
-        practice = _Practice(self, Session(self, seed, seconds, progress, _STREAM))
+        session, plant = Session(self, seed, seconds, progress, _STREAM), episode(self.rig, self.task, self.angle_cut)
         Q, R = np.asarray(self.state_weights, dtype=np.float64), float(self.force_weight)
-        K, gains, samples = np.zeros(6), [], [0]
-        total = min(self.iterations * self.samples, practice.session.budget)
-        z, following = np.zeros((0, 7)), np.zeros((0, 6))
-        while samples[-1] < total:
-            n = min(self.samples, total - samples[-1])
-            new, after = np.zeros((n, 7)), np.zeros((n, 6))
-            _practise(K, *practice.memory, new, after)
-            z, following = np.vstack([z, new])[-self.keep :], np.vstack([following, after])[-self.keep :]
-            grown = min(1.0, len(gains) / self.anneal)
-            gamma = self.gamma_start + (self.gamma - self.gamma_start) * grown
-            costs = z[:, :6] ** 2 @ Q + R * z[:, 6] ** 2
-            greedy = greedy_gain(fit_q(z, costs, np.column_stack([following, -following @ K]), gamma))
+        ends = _ends(self.samples, min(self.iterations * self.samples, session.budget))
+        z, following = np.zeros((ends[-1], 7)), np.zeros((ends[-1], 6))
+        noise, limit = float(self.noise), plant.force_limit
+        K, gains, lengths, age = np.zeros(6), np.zeros((len(ends), 6)), [], 0
+        for k, end in enumerate(ends):
+            while session.spent < end:
+                rows = slice(session.spent, min(session.spent + self.episode_steps - age, end))
+                x = following[rows.start - 1]
+                n, failed = rollout(K, noise, limit, plant, session.rng, x, age == 0, z[rows], following[rows])
+                session.spent += n
+                age += n
+                if failed or age == self.episode_steps:
+                    lengths.append(age)
+                    age = 0
+            kept = slice(max(end - self.keep, 0), end)
+            gamma = self.gamma_start + (self.gamma - self.gamma_start) * min(1.0, k / self.anneal)
+            costs, after = z[kept, :6] ** 2 @ Q + R * z[kept, 6] ** 2, following[kept]
+            greedy = greedy_gain(fit_q(z[kept], costs, np.column_stack([after, -after @ K]), gamma))
             if greedy is not None:
                 K = K + self.step * (greedy - K)
-            gains.append(K)
-            samples.append(samples[-1] + n)
-            practice.session.report(samples[-1] / total)
-        return practice.training(np.array(gains), samples[1:])
+            gains[k] = K
+            session.report(end / ends[-1])
+        return self._training(session, gains, ends, np.array(lengths, dtype=np.int64))
 
 
 @suggests
@@ -251,29 +221,15 @@ class QuadraticQLearning(_GainLearner):
         Largest greedy force, N, where the rig's own limit is larger.
     record_every : int
         Samples between two recorded gains.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range, or the rig is not ideal.
     """
 
-    anneal: int = 5000
-    samples: int = 6000
-    alpha: float = 0.5
-    epsilon: float = 0.1
-    scales: Sequence[float] = (0.02, 0.05, 0.05, 0.1, 0.15, 0.15, 4.0)
-    force_bound: float = 40.0
-    record_every: int = 100
-
-    def __post_init__(self) -> None:
-        scales_good = is_vector(self.scales, 7) and min(self.scales) > 0
-        self._check(
-            ("alpha", 0 < self.alpha < 2, "above 0 and below 2"),
-            ("scales", scales_good, "7 finite numbers greater than 0"),
-            whole=("samples", "anneal", "record_every"),
-            positive=("epsilon", "force_bound"),
-        )
+    anneal: Whole = 5000
+    samples: Whole = 6000
+    alpha: Annotated[float, must("above 0 and below 2", lambda alpha: 0 < alpha < 2)] = 0.5
+    epsilon: Positive = 0.1
+    scales: Scales = (0.02, 0.05, 0.05, 0.1, 0.15, 0.15, 4.0)
+    force_bound: Positive = 40.0
+    record_every: Whole = 100
 
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
         r"""Learn from zero gain, as every :class:`rl.Learner` does.
@@ -281,89 +237,33 @@ class QuadraticQLearning(_GainLearner):
         The training is as that of :meth:`LSPI.train`; recorded gains are those of the least :math:`\hat q`, and zero
         where it has no least.
         """
-        practice = _Practice(self, Session(self, seed, seconds, progress, _STREAM))
+        session, plant = Session(self, seed, seconds, progress, _STREAM), episode(self.rig, self.task, self.angle_cut)
         scales = np.asarray(self.scales, dtype=np.float64)
         costs = np.append(self.state_weights, self.force_weight).astype(np.float64)
         bound = min(float(self.force_bound), float(self.rig.force_limit))
-        settings = _Steps(self.alpha, self.epsilon, self.gamma, self.gamma_start, self.anneal, bound)
+        settings = self.alpha, self.epsilon, self.gamma, self.gamma_start, self.anneal, float(self.noise), bound
         w = np.zeros(len(QUADRATIC))
         w[-1] = self.force_weight * scales[6] ** 2
-        total = min(self.samples, practice.session.budget)
-        samples, gains, finite = [0], [], True
-        while samples[-1] < total:
-            end = min(samples[-1] + self.record_every, total)
+        ends = _ends(self.record_every, min(self.samples, session.budget))
+        gains, over, under_way, finite = np.zeros((len(ends), 6)), np.zeros(ends[-1], dtype=np.bool_), np.zeros(7), True
+        for k, end in enumerate(ends):
             if finite:
-                finite = _learn_steps(w, scales, costs, settings, *practice.memory, samples[-1], end)
+                begin = session.spent
+                session.spent = _learn_steps(
+                    w, scales, costs, settings, plant, session.rng, under_way, over, begin, end
+                )
+                finite = session.spent == end
             greedy = greedy_gain(quadratic_form(w) / np.outer(scales, scales))
-            gains.append(np.zeros(6) if greedy is None else greedy)
-            samples.append(end)
-            practice.session.report(end / total)
-        return practice.training(np.array(gains), samples[1:], finite=finite)
+            if greedy is not None:
+                gains[k] = greedy
+            session.report(end / ends[-1])
+        lengths = np.diff(np.flatnonzero(over), prepend=-1)
+        return self._training(session, gains, ends, lengths, finite=finite)
 
 
-class _Practice:
-    """How both learners practise: episodes that go on from call to call, and the training that they come to."""
-
-    def __init__(self, learner: LSPI | QuadraticQLearning, session: Session) -> None:
-        self.session = session
-        self._clock = np.zeros(2, dtype=np.int64)  # samples of the episode under way, and episodes begun
-        self._lengths = np.zeros(learner.samples * getattr(learner, "iterations", 1), dtype=np.int64)
-        plant = episode(learner.rig, learner.task, learner.angle_cut)
-        self.memory = plant, float(learner.noise), session.rng, np.zeros(6), self._clock, self._lengths
-        """What the compiled loops take, and change."""
-
-    def training(self, gains: Array, samples: Sequence[int], *, finite: bool = True) -> Training:
-        """Return the training that ended with the last of its gains."""
-        latest = gains[-max(len(gains) // 10, 2) :]
-        with np.errstate(over="ignore", invalid="ignore"):
-            away = np.linalg.norm(latest - gains[-1], axis=1).max()
-            settled = len(latest) > 1 and away <= _SETTLED * np.linalg.norm(gains[-1]) and gains[-1].any()
-        outcome = Outcome.CONVERGED if settled else Outcome.BUDGET_SPENT
-        if not finite:
-            outcome = Outcome.DIVERGED
-        under_way, begun = self._clock
-        lengths = self._lengths[:begun]
-        self.session.spent = int(lengths.sum())
-        details = {"gains": gains, "samples": np.array(samples)}
-        curve = {"length": lengths[:-1] if under_way else lengths}
-        return self.session.training(outcome, GainPolicy, gains[-1], (details["samples"], gains), curve, details)
-
-
-class _Steps(NamedTuple):
-    """What one-step Q-learning needs beside the episode."""
-
-    alpha: float
-    epsilon: float
-    gamma: float
-    gamma_start: float
-    anneal: int
-    bound: float
-
-
-@compiled
-def _practise(K, e, noise, rng, state, clock, lengths, z, following):
-    """Fill in states with the force that acted, and the states that followed, under -Kx and noise.
-
-    Episodes go on from call to call: in ``state`` their state, in ``clock`` their age and number; ``lengths`` grow.
-    """
-    x = (state[0], state[1], state[2], state[3], state[4], state[5])
-    for k in range(len(z)):
-        if clock[0] == 0:
-            x = started(e, rng)
-            clock[1] += 1
-        a = noise * rng.standard_normal()
-        for i in range(6):
-            a -= K[i] * x[i]
-        a = min(max(a, -e.force_limit), e.force_limit)
-        z[k, :6] = x
-        z[k, 6] = a
-        x = moved(e, x, a)
-        following[k] = x
-        clock[0] += 1
-        lengths[clock[1] - 1] += 1
-        if ended(e, x) or clock[0] >= e.steps:
-            clock[0] = 0
-    state[:] = x
+def _ends(n: int, total: int) -> npt.NDArray[np.int64]:
+    """Return the samples up to the end of each round of ``n``, of which the last may be shorter."""
+    return np.append(np.arange(n, total, n), total)
 
 
 @compiled
@@ -381,27 +281,26 @@ def _best_force(w, s, unit, bound):
 
 
 @compiled
-def _learn_steps(w, scales, costs, steps, e, noise, rng, state, clock, lengths, begin, end):
+def _learn_steps(w, scales, costs, settings, e, rng, under_way, over, begin, end):
     """Do one-step Q-learning on samples ``begin`` to ``end``, changing ``w`` in place; stop before overflow.
 
-    Returns whether it did not have to stop.
+    Returns the samples done by then.  Episodes go on from call to call: ``under_way`` has their state, and their age.
     """
-    q = steps
-    x = (state[0], state[1], state[2], state[3], state[4], state[5])
+    alpha, epsilon, gamma_end, gamma_start, anneal, noise, bound = settings
+    x, age = (under_way[0], under_way[1], under_way[2], under_way[3], under_way[4], under_way[5]), int(under_way[6])
     s, features = np.empty(7), np.empty(28)
     for t in range(begin, end):
-        if clock[0] == 0:
+        if age == 0:
             x = started(e, rng)
-            clock[1] += 1
         for i in range(6):
             s[i] = x[i] / scales[i]
-        a = _best_force(w, s, scales[6], q.bound) + noise * rng.standard_normal()
+        a = _best_force(w, s, scales[6], bound) + noise * rng.standard_normal()
         a = min(max(a, -e.force_limit), e.force_limit)
         s[6] = a / scales[6]
         cost = costs[6] * a * a
         for i in range(6):
             cost += costs[i] * x[i] * x[i]
-        value, norm, k = 0.0, q.epsilon, 0
+        value, norm, k = 0.0, epsilon, 0
         for i in range(7):
             for j in range(i, 7):
                 features[k] = s[i] * s[j]
@@ -412,21 +311,20 @@ def _learn_steps(w, scales, costs, steps, e, noise, rng, state, clock, lengths, 
         x = moved(e, x, a)
         for i in range(6):
             s[i] = x[i] / scales[i]
-        s[6] = _best_force(w, s, scales[6], q.bound) / scales[6]
+        s[6] = _best_force(w, s, scales[6], bound) / scales[6]
         least, k = 0.0, 0
         for i in range(7):
             for j in range(i, 7):
                 least += w[k] * s[i] * s[j]
                 k += 1
-        gamma = q.gamma_start + (q.gamma - q.gamma_start) * min(1.0, t / q.anneal)
-        change = q.alpha * (cost + gamma * least - value) / norm
+        gamma = gamma_start + (gamma_end - gamma_start) * min(1.0, t / anneal)
+        change = alpha * (cost + gamma * least - value) / norm
         if not abs(change) < 1e100:
-            return False
+            return t
         for k in range(28):
             w[k] += change * features[k]
-        clock[0] += 1
-        lengths[clock[1] - 1] += 1
-        if ended(e, x) or clock[0] >= e.steps:
-            clock[0] = 0
-    state[:] = x
-    return True
+        over[t] = ended(e, x) or age + 1 >= e.steps
+        age = 0 if over[t] else age + 1
+    under_way[:6] = x
+    under_way[6] = age
+    return end

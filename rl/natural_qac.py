@@ -10,11 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from dpend.arguments import checked_name
 from dpend.kernels import compiled
 from dpend.params import Array
 from dpend.rig import Rig
@@ -22,12 +24,14 @@ from dpend.suggest import suggests
 from dpend.tasks import Balance
 
 from . import features
-from ._episode import ended, episode, moved, started
+from ._episode import episode, rollout
 from .features import quadratic_features, quadratic_form
 from .policies import GainPolicy
-from .training import Outcome, Progress, Seed, Session, Training, check_settings, is_vector, training_rig
+from .settings import Angle, Portion, Positive, Scales, Whole, at_least, check_settings, must, numbers
+from .training import Outcome, Progress, Seed, Session, Training, training_rig
 
 _STREAM = 1968  # that of Algorithm 2, of which this is a variant
+StateCosts = Annotated[Sequence[float], numbers("6 finite numbers, at least 0, or None", 6, lambda each: each >= 0)]
 _OVERFLOW = 1e100  # weights beyond it have diverged; the next product would still be a number
 
 
@@ -76,59 +80,41 @@ class NaturalQAC:
         :math:`\rho` at the end; 1 to keep it.
     relaxed_sigma : float
         :math:`\sigma` at the end, as a share of the first; 1 to keep it.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range, or the rig is not ideal.
     """
 
     rig: Rig = field(kw_only=False)
     task: Balance = Balance()  # noqa: RUF009  (frozen)
-    alpha: float = 0.2
-    beta: float = 0.03
-    sigma: float = 11.36
-    gamma: float = 0.99
-    streak: int = 20
-    max_episodes: int = 400
-    scales: Sequence[float] = (0.5, 0.1, 0.1, 1.0, 0.5, 0.5, 40.0)
-    critic: str = "quadratic"
-    state_costs: Sequence[float] | None = (1.0, 1.0, 1.0, 0.1, 0.1, 0.1)
+    alpha: Positive = 0.2
+    beta: Positive = 0.03
+    sigma: Positive = 11.36
+    gamma: Portion = 0.99
+    streak: Whole = 20
+    max_episodes: Whole = 400
+    scales: Scales = (0.5, 0.1, 0.1, 1.0, 0.5, 0.5, 40.0)
+    critic: Annotated[str, partial(checked_name, known=("quadratic", "table 1"))] = "quadratic"
+    state_costs: StateCosts | None = (1.0, 1.0, 1.0, 0.1, 0.1, 0.1)
     least_squares: bool = True
-    replay: int = 1200
+    replay: Annotated[int, at_least(0)] = 1200
     closed_form: bool = True
     natural: bool = True
-    norm_cap: float = 0.218
-    gamma_start: float = 0.4
-    gamma_updates: float = 26.6
-    angle_cut: float | None = 0.254
+    norm_cap: Annotated[float, must("greater than 0", lambda cap: cap > 0)] = 0.218
+    gamma_start: Portion = 0.4
+    gamma_updates: Positive = 26.6
+    angle_cut: Angle | None = 0.254
     bootstrap: bool = True
-    episodes_per_update: int = 2
-    relax_from: int = 80
-    relax_to: int = 160
-    relaxed_cost: float = 1e-3
-    relaxed_sigma: float = 0.176
+    episodes_per_update: Whole = 2
+    relax_from: Annotated[int, at_least(0)] = 80
+    relax_to: Whole = 160
+    relaxed_cost: Positive = 1e-3
+    relaxed_sigma: Positive = 0.176
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rig", training_rig(self.rig, "GaussianQAC"))
         if not isinstance(self.task, Balance):
             raise TypeError(f"task must be a dpend.Balance; got {self.task!r}.")
-        if self.critic not in ("quadratic", "table 1"):
-            raise ValueError(f'critic must be "quadratic" or "table 1"; got {self.critic!r}.')
-        costs, scales_good = self.state_costs, is_vector(self.scales, 7) and min(self.scales) > 0
-        check_settings(
-            self,
-            ("scales", scales_good, "7 finite numbers greater than 0"),
-            ("state_costs", costs is None or is_vector(costs, 6, 0.0), "6 finite numbers, at least 0, or None"),
-            ("replay", self.replay >= 0, "at least 0"),
-            ("norm_cap", self.norm_cap > 0, "greater than 0"),
-            ("relax_from", self.relax_from >= 0, "at least 0"),
-            ("relax_to", self.relax_to > self.relax_from, f"greater than relax_from = {self.relax_from}"),
-            whole=("streak", "max_episodes", "episodes_per_update"),
-            positive=("alpha", "beta", "sigma", "gamma_updates", "relaxed_cost", "relaxed_sigma"),
-            portion=("gamma", "gamma_start"),
-            angle=() if self.angle_cut is None else ("angle_cut",),
-        )
+        check_settings(self)
+        if self.relax_to <= self.relax_from:
+            raise ValueError(f"relax_to must be greater than relax_from = {self.relax_from}; got {self.relax_to}.")
 
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
         """Learn from zero gain, as every :class:`rl.Learner` does; the policy is a :class:`rl.GainPolicy`.
@@ -144,32 +130,31 @@ class NaturalQAC:
         updates = self.max_episodes // self.episodes_per_update
         v, gains = np.zeros(6), np.zeros((updates, 6))
         lengths, rewards, success = [], [], []
-        z, following, last = np.zeros((0, 7)), np.zeros((0, 6)), np.zeros(0, dtype=np.bool_)
-        costs = np.zeros(0)
+        memory = np.zeros((0, 7)), np.zeros((0, 6)), np.zeros(0, dtype=np.bool_), np.zeros(0)
         taken, after = np.zeros((self.task.steps, 7)), np.zeros((self.task.steps, 6))
         spent, finite = [], True
         for update in range(updates):
             gamma = self.gamma - (self.gamma - self.gamma_start) * math.exp(-update / self.gamma_updates)
             relaxed = min(1.0, max(0.0, (update - self.relax_from) / (self.relax_to - self.relax_from)))
             rho, sigma = self.relaxed_cost**relaxed, self.sigma * self.relaxed_sigma**relaxed
-            new = 0
+            fresh, new = [], 0
             for _ in range(self.episodes_per_update):
                 allowed = slice(min(session.left, self.task.steps))
-                n, failed = _draw_episode(v * to_gain, sigma, plant, session.rng, taken[allowed], after[allowed])
+                n, failed = rollout(
+                    v * to_gain, sigma, math.inf, plant, session.rng, taken[0], True, taken[allowed], after[allowed]
+                )
                 session.spent += n
-                z, following = np.vstack([z, taken[:n] / scales]), np.vstack([following, after[:n] / scales[:6]])
-                last = np.append(last, (np.arange(n) == n - 1) & failed)
-                reported = self.task.cost(after[:n], self.task.ended(after[:n], self.rig))
-                costs = np.append(costs, reported)
                 new += n
+                reported = self.task.cost(after[:n], self.task.ended(after[:n], self.rig))
+                fresh.append((taken[:n] / scales, after[:n] / scales[:6], (np.arange(n) == n - 1) & failed, reported))
                 if failed or n == self.task.steps:  # not where the budget cut it off
                     lengths.append(n)
                     success.append(not failed)
                     rewards.append(-float(reported.sum()))
             if not new:
                 break
-            kept = slice(-max(self.replay, new), None)
-            z, following, last, costs = z[kept], following[kept], last[kept], costs[kept]
+            memory = [np.concatenate(kind)[-max(self.replay, new) :] for kind in zip(memory, *fresh, strict=True)]
+            z, following, last, costs = memory
             cost = costs if self.state_costs is None else rho * (z[:, :6] ** 2 @ self.state_costs) + z[:, 6] ** 2
             critic.learn(z, following, ~last | self.bootstrap, cost, v, sigma / scales[6], gamma, new)
             step = -self.alpha * critic.gradient(z, v, sigma / scales[6], new)
@@ -259,18 +244,7 @@ class _Critic:
 
 
 def ablations(rig: Rig | str) -> dict[str, NaturalQAC]:
-    """Return the tuned learner without one of its deviations each, by a name that says which.
-
-    Parameters
-    ----------
-    rig : Rig or str
-        The rig, or the name of a preset.
-
-    Returns
-    -------
-    dict
-        First the whole learner, as "tuned".
-    """
+    """Return the whole learner, as "tuned", and without one of its deviations each, by a name that says which."""
     tuned = NaturalQAC(training_rig(rig, "NaturalQAC"))
     sizes, costs = np.array(tuned.scales), np.array(tuned.state_costs)
     same_costs = tuple(float(q) for q in costs * (sizes[6] / sizes[:6]) ** 2)  # of force and states in SI units
@@ -296,26 +270,6 @@ def ablations(rig: Rig | str) -> dict[str, NaturalQAC]:
         "12 the report's largest σ": without(sigma=math.sqrt(10.0)),
         "13 cost and σ kept": without(relaxed_cost=1.0, relaxed_sigma=1.0),
     }
-
-
-@compiled
-def _draw_episode(K, sigma, e, rng, z, following):
-    """Fill in an episode's states and actions, and the states that followed, under -Kx and noise.
-
-    Returns its length, and whether it ended before its time.
-    """
-    x = started(e, rng)
-    for k in range(len(z)):
-        a = sigma * rng.standard_normal()
-        for i in range(6):
-            a -= K[i] * x[i]
-        z[k, :6] = x
-        z[k, 6] = a
-        x = moved(e, x, a)
-        following[k] = x
-        if ended(e, x):
-            return k + 1, True
-    return len(z), False
 
 
 @compiled

@@ -1,4 +1,7 @@
-"""Learned policies: controllers of plain arrays, saved with a checksum and loaded without running code."""
+"""Learned policies: controllers of plain arrays, saved with a checksum and loaded without running code.
+
+All of them refuse arrays of other shapes, numbers that are not finite and words that are unknown with a ValueError.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,10 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike, NDArray
 
 from dpend import archive
+from dpend.arguments import checked_positive
 from dpend.controller import Act
 from dpend.params import Array
 from dpend.shaping import observe
@@ -18,7 +22,10 @@ from dpend.state import nearest_upright, wrap
 from dpend.suggest import suggestion
 
 from .features import TABLE1, make_value_features, slope_features
+from .settings import one_of
 
+Arrays = Sequence[ArrayLike]
+About = Mapping[str, Any] | None
 _FORMAT = "dpend policy 2"
 _TRAINED = Path(__file__).parent / "trained"
 
@@ -38,28 +45,20 @@ class Saved:
     def __repr__(self) -> str:
         return f"<{self.name}, seed {self.about.get('seed')}, {self.about.get('outcome', 'of unknown origin')}>"
 
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what is saved, by name; none of objects."""
         return {name: np.asarray(getattr(self, name)) for name in self.saved}
 
     @classmethod
-    def from_arrays(cls, *, about: Mapping[str, Any], **arrays: npt.NDArray[Any]) -> Any:
+    def from_arrays(cls, *, about: Mapping[str, Any], **arrays: NDArray[Any]) -> Any:
         """Build a policy from what :meth:`arrays` returned."""
         build: Any = cls
         return build(**arrays, about=about)
 
     def save(self, path: str | Path) -> Path:
-        """Write an archive of plain arrays with a checksum, to the end or not at all.
+        """Write an archive of plain arrays with a checksum, to the end or not at all, and return its path.
 
-        Parameters
-        ----------
-        path : str or Path
-            The file.
-
-        Returns
-        -------
-        Path
-            The file; ``.npz`` is added where the name has no suffix.
+        ``.npz`` is added where the name has no suffix.
         """
         return archive.write(path, _FORMAT, {"kind": self.kind, "about": self.about}, self.arrays())
 
@@ -81,25 +80,13 @@ class LinearQPolicy(Saved):
         The action set :math:`A`, N.
     about : mapping, optional
         Where the weights come from; saved with them.
-
-    Raises
-    ------
-    ValueError
-        If an array has another shape or a number is not finite.
     """
 
     kind = "linear Q"
     saved = ("weights", "scales", "forces")
     name = "linear Q-learning"
 
-    def __init__(
-        self,
-        weights: npt.ArrayLike,
-        scales: npt.ArrayLike,
-        forces: npt.ArrayLike,
-        *,
-        about: Mapping[str, Any] | None = None,
-    ) -> None:
+    def __init__(self, weights: ArrayLike, scales: ArrayLike, forces: ArrayLike, *, about: About = None) -> None:
         self.about = dict(about or {})
         self.weights = _vector("weights", weights, len(TABLE1))
         self.scales = _vector("scales", scales, len(TABLE1))
@@ -126,18 +113,13 @@ class GainPolicy(Saved):
         Gain, N per unit of each state.
     about : mapping, optional
         Where the gain comes from; saved with it.
-
-    Raises
-    ------
-    ValueError
-        If the gain has another shape or a number is not finite.
     """
 
     kind = "gain"
     saved = ("K",)
     name = "learned gain"
 
-    def __init__(self, K: npt.ArrayLike, *, about: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, K: ArrayLike, *, about: About = None) -> None:
         self.about = dict(about or {})
         self.K = _vector("K", K, 6)
 
@@ -166,24 +148,16 @@ class TableOneMean(Saved):
         Which of :data:`INDICATORS` take part.
     about : mapping, optional
         Where the weights come from; saved with them.
-
-    Raises
-    ------
-    ValueError
-        If there is another number of weights, one is not finite, or the indicators are unknown.
     """
 
     kind = "table 1 mean"
     saved = ("v", "indicators")
     name = "mean of Gaussian QAC"
 
-    def __init__(
-        self, v: npt.ArrayLike, indicators: str | npt.NDArray[Any], *, about: Mapping[str, Any] | None = None
-    ) -> None:
+    def __init__(self, v: ArrayLike, indicators: str | NDArray[Any], *, about: About = None) -> None:
         self.about = dict(about or {})
         self.indicators = str(indicators)
-        if self.indicators not in INDICATORS:
-            raise ValueError(f"indicators must be one of {', '.join(map(repr, INDICATORS))}; got {self.indicators!r}.")
+        one_of(INDICATORS)("indicators", self.indicators)
         self.v = _vector("v", v, 12 + INDICATORS[self.indicators])
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
@@ -225,24 +199,13 @@ class Network(Saved):
         :math:`s`, which brings actions within -1 and 1.
     about : mapping, optional
         Where the weights come from; saved with them.
-
-    Raises
-    ------
-    ValueError
-        If a layer does not fit the one before, a number is not finite, or a function is unknown.
     """
 
     kind = "network"
     saved = ("activation", "squash")
 
     def __init__(
-        self,
-        weights: Sequence[npt.ArrayLike],
-        biases: Sequence[npt.ArrayLike],
-        *,
-        activation: str = "tanh",
-        squash: str = "clip",
-        about: Mapping[str, Any] | None = None,
+        self, weights: Arrays, biases: Arrays, *, activation: str = "tanh", squash: str = "clip", about: About = None
     ) -> None:
         if not len(weights) or len(weights) != len(biases):
             raise ValueError(f"Expected as many biases as weights, at least one; got {len(biases)} and {len(weights)}.")
@@ -256,11 +219,9 @@ class Network(Saved):
                 raise ValueError(f"weight {i} must be finite.")
             weight.setflags(write=False)
             width = len(bias)
-        for name, value, known in (("activation", activation, _ACTIVATIONS), ("squash", squash, _SQUASHES)):
-            if value not in known:
-                raise ValueError(f"{name} must be one of {', '.join(map(repr, known))}; got {value!r}.")
-        self.activation = activation
-        self.squash = squash
+        one_of(_ACTIVATIONS)("activation", activation)
+        one_of(_SQUASHES)("squash", squash)
+        self.activation, self.squash = activation, squash
         self.about = dict(about or {})
 
     @property
@@ -293,7 +254,7 @@ class Network(Saved):
             h = activate(h)
         return _SQUASHES[self.squash](h @ self.weights[-1].T + self.biases[-1])
 
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what is saved, by name."""
         layers = {f"weight{i}": _shortest(weight) for i, weight in enumerate(self.weights)}
         return super().arrays() | layers | {f"bias{i}": _shortest(bias) for i, bias in enumerate(self.biases)}
@@ -327,33 +288,21 @@ class MLPPolicy(Saved):
         How long a force is held, s; on a rig with a longer sample time it acts at every sample.
     about : mapping, optional
         Where the policy comes from; saved with it.
-
-    Raises
-    ------
-    ValueError
-        If the network has other inputs or outputs, or a number is not finite and greater than zero.
     """
 
     kind = "mlp"
     saved = ("scales", "force_limit", "period")
 
     def __init__(
-        self,
-        network: Network,
-        *,
-        scales: npt.ArrayLike,
-        force_limit: float,
-        period: float,
-        about: Mapping[str, Any] | None = None,
+        self, network: Network, *, scales: ArrayLike, force_limit: float, period: float, about: About = None
     ) -> None:
         self.about = dict(network.about if about is None else about)
         self.network = network
         self.scales = _vector("scales", scales, 4)
-        for name, value in (("scales", self.scales), ("force_limit", force_limit), ("period", period)):
-            if not (np.isfinite(value) & (np.asarray(value) > 0)).all():
-                raise ValueError(f"{name} must be finite and greater than 0; got {value!r}.")
-        self.force_limit = float(force_limit)
-        self.period = float(period)
+        for scale in self.scales.tolist():
+            checked_positive("scales", scale)
+        self.force_limit = checked_positive("force_limit", force_limit)
+        self.period = checked_positive("period", period)
         if network.inputs not in (8, 9) or network.outputs != 1:
             raise ValueError(
                 f"The network must have 8 inputs, or 9 with its last action, and 1 output; "
@@ -381,24 +330,18 @@ class MLPPolicy(Saved):
 
         return act
 
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what is saved, by name."""
         return self.network.arrays() | super().arrays()
 
     @classmethod
-    def from_arrays(
-        cls, *, scales: Any, force_limit: Any, period: Any, about: Mapping[str, Any], **network: Any
-    ) -> MLPPolicy:
+    def from_arrays(cls, *, scales: Any, force_limit: Any, period: Any, about: Any, **network: Any) -> MLPPolicy:
         """Build a policy from what :meth:`arrays` returned."""
         net = Network.from_arrays(about=about, **network)
         return cls(net, scales=scales, force_limit=float(force_limit), period=float(period), about=about)
 
 
 Policy = LinearQPolicy | GainPolicy | TableOneMean | MLPPolicy | Network
-
-_KINDS: Mapping[str, type[Policy]] = MappingProxyType(
-    {each.kind: each for each in (LinearQPolicy, GainPolicy, TableOneMean, MLPPolicy, Network)}
-)
 
 
 def load_policy(policy: str | Path) -> Policy:
@@ -430,20 +373,21 @@ def load_policy(policy: str | Path) -> Policy:
         return made_policy(header["kind"], header["about"], arrays)
 
 
-def made_policy(kind: str, about: Mapping[str, Any], arrays: Mapping[str, npt.NDArray[Any]]) -> Policy:
+def made_policy(kind: str, about: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Policy:
     """Return the policy of a kind, with a provenance and what its ``arrays`` returned; refuse a kind unknown."""
-    if kind not in _KINDS:
+    kinds = {each.kind: each for each in Saved.__subclasses__()}
+    if kind not in kinds:
         raise ValueError(f"an unknown kind of policy, {kind!r}")
-    return _KINDS[kind].from_arrays(about=about, **arrays)
+    return kinds[kind].from_arrays(about=about, **arrays)
 
 
-def _shortest(array: Array) -> npt.NDArray[np.floating[Any]]:
+def _shortest(array: Array) -> NDArray[np.floating[Any]]:
     """Return an array in single precision where that loses nothing, as of what was learned in it."""
     single = array.astype(np.float32)
     return single if (single == array).all() else array
 
 
-def _vector(name: str, value: npt.ArrayLike, length: int | None) -> Array:
+def _vector(name: str, value: ArrayLike, length: int | None) -> Array:
     vector = np.array(value, dtype=np.float64)
     if vector.ndim != 1 or not len(vector) or (length is not None and len(vector) != length):
         wanted = "(m,)" if length is None else f"({length},)"

@@ -15,21 +15,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
 from dpend.deprecation import renamed_arguments
-from dpend.kernels import compiled, inline, report_cost, status_code, wrap_angle
+from dpend.kernels import compiled, inline, report_cost, status_code
 from dpend.rig import Rig
 from dpend.suggest import suggests
 from dpend.tasks import Balance
 
-from . import features
-from ._episode import episode, moved, started
+from ._episode import Records, episode, moved, slope_features, started, value_features
 from .natural_qac import NaturalQAC
 from .policies import INDICATORS, TableOneMean
-from .training import Outcome, Progress, Seed, Session, Training, check_settings, training_rig
+from .settings import Nonnegative, Portion, Positive, Whole, check_settings, one_of
+from .training import Outcome, Progress, Seed, Session, Training, training_rig
 
 _STREAM = 1968  # sets learning apart from starts drawn with the same seed
 _CHUNK = 500  # episodes between two looks at the keyboard and the progress bar
@@ -65,52 +65,31 @@ class GaussianQAC:
         Successful episodes in a row that count as convergence.
     max_episodes : int
         Budget of learning episodes.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range, or the rig is not ideal.
     """
 
     rig: Rig = field(kw_only=False)
     task: Balance = Balance()  # noqa: RUF009  (frozen)
-    alpha: float = 1e-4
-    beta: float = 1e-4
-    sigma: float = 1.0
-    gamma: float = 0.99
-    indicators: str = "none"
-    init_std: float = 0.0
-    streak: int = 20
-    max_episodes: int = 2000
+    alpha: Positive = 1e-4
+    beta: Positive = 1e-4
+    sigma: Positive = 1.0
+    gamma: Portion = 0.99
+    indicators: Annotated[str, one_of(INDICATORS)] = "none"
+    init_std: Nonnegative = 0.0
+    streak: Whole = 20
+    max_episodes: Whole = 2000
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rig", training_rig(self.rig, "GaussianQAC"))
         if not isinstance(self.task, Balance):
             raise TypeError(f"task must be a dpend.Balance; got {self.task!r}.")
-        if self.indicators not in INDICATORS:
-            raise ValueError(f"indicators must be one of {', '.join(map(repr, INDICATORS))}; got {self.indicators!r}.")
-        check_settings(
-            self,
-            whole=("streak", "max_episodes"),
-            positive=("alpha", "beta", "sigma"),
-            nonnegative=("init_std",),
-            portion=("gamma",),
-        )
+        check_settings(self)
 
     @classmethod
     def published(cls, rig: Rig | str, *, variance: float = 1.0, **settings: Any) -> GaussianQAC:
         r"""Return the report's learner to the letter, with a choice of what the report tried.
 
-        The cost is that of the code published with it, and link 1 alone falls.
-
-        Parameters
-        ----------
-        rig : Rig or str
-            The rig, or the name of a preset.
-        variance : float
-            :math:`\sigma^2`, N²; the report tried values within 0.001 and 10.
-        **settings
-            Others of the class; of both step sizes the report tried values within 1e-8 and 1e-1.
+        The report tried variances :math:`\sigma^2` within 0.001 and 10 N², and step sizes within 1e-8 and 1e-1, which
+        are among the ``settings``.  The cost is that of the code published with it, and link 1 alone falls.
         """
         return cls(
             training_rig(rig, "GaussianQAC"),
@@ -122,11 +101,6 @@ class GaussianQAC:
         """Return the learner with the deviations that ``docs/gaussian-qac.md`` numbers, a natural actor-critic.
 
         The numbers were tuned on the preset ``gustafsson2016``; on another rig they are a start.
-
-        Parameters
-        ----------
-        rig : Rig or str
-            The rig, or the name of a preset.
         """
         return NaturalQAC(training_rig(rig, "GaussianQAC"))
 
@@ -139,52 +113,37 @@ class GaussianQAC:
         """
         session = Session(self, seed, seconds, progress, _STREAM)
         rng, plant, most = session.rng, episode(self.rig, self.task), self.max_episodes
-        settings = _Settings(self.alpha, self.beta, self.sigma, self.gamma, INDICATORS[self.indicators], self.streak)
-        m = 12 + settings.indicators
+        indicators, steps = INDICATORS[self.indicators], (self.alpha, self.beta, self.sigma, self.gamma)
+        m = 12 + indicators
         v, w = self.init_std * rng.standard_normal(m), self.init_std * rng.standard_normal(m + 6)
-        lengths, rewards = np.zeros(most, dtype=np.int64), np.zeros(most)
-        success, history = np.zeros(most, dtype=np.bool_), np.zeros((most, m))
+        records = Records.zeros(most, m)
         outcome, episodes, streak = Outcome.BUDGET_SPENT, 0, 0
         while episodes < most and session.left:
-            rows = slice(episodes, min(episodes + _CHUNK, most))
-            records = lengths[rows], rewards[rows], success[rows], history[rows]
-            done, streak, finite = _run_episodes(v, w, settings, plant, streak, session.left, rng, *records)
+            rows = records.rows(episodes, episodes + _CHUNK)
+            done, streak, finite = _run_episodes(
+                v, w, indicators, steps, plant, streak, self.streak, session.left, rng, rows
+            )
             episodes += done
-            session.spent = int(lengths.sum())
+            session.spent = int(records.length.sum())
             session.report(episodes / most)
             if not finite or streak >= self.streak:
                 outcome = Outcome.CONVERGED if finite else Outcome.DIVERGED
                 break
-        ran = slice(episodes)
+        ran = records.rows(0, episodes)
         return session.training(
             outcome,
             partial(TableOneMean, indicators=self.indicators),
             v,
-            (np.cumsum(lengths[ran]), history[ran]),
-            {"length": lengths[ran], "reward": rewards[ran], "success": success[ran]},
-            {"weights": history[ran], "v": v, "w": w},
+            (np.cumsum(ran.length), ran.weights),
+            {"length": ran.length, "reward": ran.reward, "success": ran.success},
+            {"weights": ran.weights, "v": v, "w": w},
         )
-
-
-class _Settings(NamedTuple):
-    """What the compiled loop needs to know beside the episode."""
-
-    alpha: float
-    beta: float
-    sigma: float
-    gamma: float
-    indicators: int
-    streak: int
-
-
-_value_features = inline(features.make_value_features(wrap_angle))
-_slope_features = inline(features.slope_features)
 
 
 @inline
 def _write_features(x, indicators, phi, slope):
     """Write the features of a state: those of actor and critic, and the critic's factors of the action."""
-    value = _value_features(x)
+    value = value_features(x)
     phi[:12] = value
     if indicators == 3:
         for i in range(3):
@@ -193,7 +152,7 @@ def _write_features(x, indicators, phi, slope):
         cell = (4 if value[1] > 0.0 else 0) + (2 if value[3] > 0.0 else 0) + (1 if value[5] > 0.0 else 0)
         for i in range(8):
             phi[12 + i] = 1.0 if i == cell else 0.0
-    slope[:] = _slope_features(x)
+    slope[:] = slope_features(x)
 
 
 @inline
@@ -215,55 +174,55 @@ def _mean(v, phi):
 
 
 @compiled
-def _run_episodes(v, w, settings, e, streak, budget, rng, lengths, rewards, success, history):
+def _run_episodes(v, w, indicators, steps, e, streak, enough, budget, rng, records):
     """Run Algorithm 2 for some episodes, changing ``v`` and ``w``; stop early at the streak, the budget or overflow.
 
     Returns the episodes completed, the successes in a row at their end, and whether the weights are still finite.
     """
-    s, rule = settings, e.rule
+    (alpha, beta, sigma, gamma), rule = steps, e.rule
     m = len(v)
     phi, phi_next = np.empty(m), np.empty(m)
     slope, slope_next = np.empty(6), np.empty(6)
-    for k in range(len(lengths)):
+    for k in range(len(records.length)):
         x = started(e, rng)
-        _write_features(x, s.indicators, phi, slope)
-        a = _mean(v, phi) + s.sigma * rng.standard_normal()
+        _write_features(x, indicators, phi, slope)
+        a = _mean(v, phi) + sigma * rng.standard_normal()
         code = 0
         t = 0
         while t < e.steps and code == 0:
             if t >= budget:
-                lengths[k] = t  # an episode that the budget cuts off counts by its samples only
+                records.length[k] = t  # an episode that the budget cuts off counts by its samples only
                 return k, streak, True
             x = moved(e, x, a)
             code = status_code(x, rule.bounds)
             reward = -report_cost(x, code, rule.target, rule.weights, rule.failure_cost)
-            _write_features(x, s.indicators, phi_next, slope_next)
-            a_next = _mean(v, phi_next) + s.sigma * rng.standard_normal()
+            _write_features(x, indicators, phi_next, slope_next)
+            a_next = _mean(v, phi_next) + sigma * rng.standard_normal()
             q = _q(w, phi, slope, a)
-            delta = reward + s.gamma * _q(w, phi_next, slope_next, a_next) - q
-            ascent = s.alpha * (a - _mean(v, phi)) / (s.sigma * s.sigma) * q
+            delta = reward + gamma * _q(w, phi_next, slope_next, a_next) - q
+            ascent = alpha * (a - _mean(v, phi)) / (sigma * sigma) * q
             largest = 0.0
             for i in range(m):
-                largest = max(largest, abs(ascent * phi[i]), abs(s.beta * delta * phi[i]))
+                largest = max(largest, abs(ascent * phi[i]), abs(beta * delta * phi[i]))
             for i in range(6):
-                largest = max(largest, abs(s.beta * delta * a * slope[i]))
+                largest = max(largest, abs(beta * delta * a * slope[i]))
             if not largest < 1e100:
                 return k, streak, False
             for i in range(m):
                 v[i] += ascent * phi[i]
-                w[i] += s.beta * delta * phi[i]
+                w[i] += beta * delta * phi[i]
             for i in range(6):
-                w[m + i] += s.beta * delta * a * slope[i]
+                w[m + i] += beta * delta * a * slope[i]
             phi[:] = phi_next
             slope[:] = slope_next
             a = a_next
-            rewards[k] += reward
+            records.reward[k] += reward
             t += 1
         budget -= t
-        lengths[k] = t
-        history[k] = v
-        success[k] = code == 0
-        streak = streak + 1 if success[k] else 0
-        if streak >= s.streak:
+        records.length[k] = t
+        records.weights[k] = v
+        records.success[k] = code == 0
+        streak = streak + 1 if code == 0 else 0
+        if streak >= enough:
             return k + 1, streak, True
-    return len(lengths), streak, True
+    return len(records.length), streak, True

@@ -16,13 +16,14 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 import dpend
+from dpend.arguments import checked_positive
 from dpend.rig import Rig, as_rig
 from dpend.shaping import LONGEST_HOLD, Mixture
-from dpend.suggest import suggestion, suggests
+from dpend.suggest import suggests
 from dpend.tasks import Balance, SwingUp
 from dpend.vector_env import CartDoublePendulumVectorEnv
 
-from .training import check_settings, is_vector
+from .settings import Angle, Nonnegative, Portion, Positive, Share, Whole, check_settings, known, must, numbers
 
 Value = TypeVar("Value")
 if TYPE_CHECKING:
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
 else:
     Filled = Optional  # where a recipe is built; where one is read there is a value
 _DEFAULT: Any = None
+Widths = Annotated[tuple[int, ...], must("one or more widths, at least 1", lambda net: len(net) > 0 and min(net) >= 1)]
+Rates = Annotated[tuple[float, float], numbers("two numbers above 0", 2, lambda rate: rate > 0)]
+Caps = Annotated[tuple[float, float, float], numbers("three numbers, at least 0", 3, lambda each: each >= 0)]
 
 NEEDED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"torch": ("torch", "stable_baselines3"), "jax": ("torch", "stable_baselines3", "jax", "sbx")}
@@ -69,16 +73,15 @@ DEFAULTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 class PPOSettings:
     """What only PPO knows."""
 
-    target_kl: float | None = None
+    target_kl: Positive | None = None
     """A round of updates ends early where they have moved the policy by 1.5 times this Kullback-Leibler divergence,
     nats; left out, never."""
-    caps: tuple[float, float, float] | None = None
+    caps: Caps | None = None
     """Conditioning for action policy smoothness (Mysore et al. 2021) in the loss: weights of the temporal and of the
     spatial term, and the standard deviation of the spatial one."""
 
     def __post_init__(self) -> None:
-        caps_good = self.caps is None or is_vector(self.caps, 3, 0.0)
-        check_settings(self, ("caps", caps_good, "three numbers, at least 0"), positive=("target_kl",))
+        check_settings(self)
 
 
 @suggests
@@ -86,10 +89,10 @@ class PPOSettings:
 class OffPolicySettings:
     """What only DDPG, TD3 and SAC know."""
 
-    first_actions: float = 1.0
+    first_actions: Portion = 1.0
     """Factor on the last layer of the actor before anything is learned; a small one begins with hardly any force, as
     the DDPG paper does."""
-    library: Literal["torch", "jax"] = "torch"
+    library: Annotated[Literal["torch", "jax"], known(NEEDED)] = "torch"
     """What computes: Stable-Baselines3 in torch, or its sibling SBX in JAX, the same algorithms compiled."""
     layer_norm: bool = True
     """Whether the critics normalise their layers."""
@@ -97,9 +100,7 @@ class OffPolicySettings:
     """Whether to learn from transitions and their mirror images, each half the time; plant and reward know no side."""
 
     def __post_init__(self) -> None:
-        if self.library not in NEEDED:
-            raise ValueError(f"There is no library {self.library!r}.{suggestion(str(self.library), NEEDED)}")
-        check_settings(self, portion=("first_actions",))
+        check_settings(self)
 
 
 @suggests
@@ -174,51 +175,37 @@ class DeepRecipe:
     """
 
     rig: Rig = field(default_factory=lambda: dpend.rig("gustafsson2016"), kw_only=False)
-    algo: Literal["ppo", "ddpg", "td3", "sac"] = "ppo"
-    task: Literal["swing-up", "balance"] = "swing-up"
+    algo: Annotated[Literal["ppo", "ddpg", "td3", "sac"], known(DEFAULTS)] = "ppo"
+    task: Annotated[Literal["swing-up", "balance"], known(("swing-up", "balance"))] = "swing-up"
     env: str | None = None
-    starts: Literal["mixed", "rest"] = "mixed"
-    near: float = 0.1
-    steps: Filled[int] = _DEFAULT
-    copies: Filled[int] = _DEFAULT
-    net: tuple[int, ...] = (64, 64)
-    batch: Filled[int] = _DEFAULT
-    learning_rate: Filled[tuple[float, float]] = _DEFAULT
-    updates: Filled[float] = _DEFAULT
-    gamma: float = 0.99
-    noise: Filled[float] = _DEFAULT
+    starts: Annotated[Literal["mixed", "rest"], known(("mixed", "rest"))] = "mixed"
+    near: Angle = 0.1
+    steps: Filled[Whole] = _DEFAULT
+    copies: Filled[Whole] = _DEFAULT
+    net: Widths = (64, 64)
+    batch: Filled[Whole] = _DEFAULT
+    learning_rate: Filled[Rates] = _DEFAULT
+    updates: Filled[Positive] = _DEFAULT
+    gamma: Annotated[float, must("between 0 and 1", lambda gamma: 0 < gamma < 1)] = 0.99
+    noise: Filled[Nonnegative] = _DEFAULT
     period: Filled[float] = _DEFAULT
-    episode: Filled[float] = _DEFAULT
-    action_rate: float = 0.0
-    sensor_noise: float | None = None
-    evaluate_every: Filled[int] = _DEFAULT
-    evaluation_starts: int = 400
-    enough: float | None = None
+    episode: Filled[Positive] = _DEFAULT
+    action_rate: Nonnegative = 0.0
+    sensor_noise: Nonnegative | None = None
+    evaluate_every: Filled[Whole] = _DEFAULT
+    evaluation_starts: Whole = 400
+    enough: Share | None = None
     ppo: PPOSettings = PPOSettings()
     off_policy: OffPolicySettings = OffPolicySettings()
 
     def __post_init__(self) -> None:
-        for name, known in (("algo", DEFAULTS), ("task", ("swing-up", "balance")), ("starts", ("mixed", "rest"))):
-            value = getattr(self, name)
-            if value not in known:
-                raise ValueError(f"There is no {name} {value!r}.{suggestion(str(value), known)}")
+        check_settings(self)
         object.__setattr__(self, "rig", as_rig(self.rig))
         self._fill(**DEFAULTS[self.algo])
+        if self.algo == "ppo":
+            checked_positive("noise", self.noise)
         if not self.env:
             self._check_plant()
-        rates_good = is_vector(self.learning_rate, 2) and min(self.learning_rate) > 0
-        may_be_zero = self.algo != "ppo"
-        check_settings(
-            self,
-            ("learning_rate", rates_good, "two numbers above 0"),
-            ("gamma", 0 < self.gamma < 1, "between 0 and 1"),
-            ("net", len(self.net) > 0 and min(self.net) >= 1, "one or more widths, at least 1"),
-            whole=("steps", "copies", "batch", "evaluate_every", "evaluation_starts"),
-            positive=("updates", *["noise"] * (not may_be_zero)),
-            nonnegative=("action_rate", "sensor_noise", *["noise"] * may_be_zero),
-            share=("enough",),
-            angle=("near",),
-        )
         self._check_own()
         if self.near != type(self).near and (self.env or self.task != "swing-up" or self.starts != "mixed"):
             raise ValueError(
@@ -255,7 +242,6 @@ class DeepRecipe:
                 "Forces can be held for several samples on ideal rigs only; got one with lag, delay, noise or "
                 f"rounding: expected period = {rig.sample_time:g} s, the sample time."
             )
-        check_settings(self, positive=("episode",))
 
     def _check_own(self) -> None:
         """Refuse settings that this algorithm, or another environment, does not know."""
@@ -326,17 +312,7 @@ _ZERO_WAS_NONE = ("env", "period", "episode", "target_kl", "caps", "sensor_noise
 
 
 def training_envs(recipe: DeepRecipe) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """Return the environments that a recipe is trained in: copies that start again in the step that ends an episode.
-
-    Parameters
-    ----------
-    recipe : DeepRecipe
-        The recipe.
-
-    Returns
-    -------
-    gymnasium.vector.VectorEnv
-    """
+    """Return the environments that a recipe is trained in: copies that start again in the step that ends an episode."""
     if recipe.env:
         return gym.make_vec(
             recipe.env,

@@ -15,7 +15,6 @@ from functools import partial
 from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
-from queue import Empty
 from types import MappingProxyType
 from typing import Annotated, Any
 
@@ -29,15 +28,15 @@ from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, Pri
 
 from dpend.arguments import checked_seed, checked_whole
 from dpend.rig import Rig, rig
-from dpend.suggest import suggestion
 from dpend.workers import interruptible, pool
 
-from .deep import pack, train_deep
+from .deep import Evaluation, pack, train_deep
 from .linear_q import LinearQLearning
 from .lspi import LSPI
 from .policies import Policy
 from .qac import GaussianQAC
 from .recipes import DEFAULTS, INSTALL, NEEDED, DeepRecipe
+from .settings import known
 from .training import Learner, Training
 
 LINEAR: Mapping[str, Callable[[Rig], Learner]] = MappingProxyType(
@@ -105,25 +104,13 @@ class _Which:
 
 
 def main(arguments: Sequence[str] | None = None) -> list[Policy]:
-    """Train from a command line.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        The command line; left out, the program's own.
-
-    Returns
-    -------
-    list of LinearQPolicy, GainPolicy, MLPPolicy or Network
-        One a seed.
-    """
+    """Train from a command line, the program's own where it is left out, and return the policies, one a seed."""
     console = Console(stderr=True, highlight=False)
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     which, _ = tyro.cli(_Which, args=arguments, return_unknown_args=True, add_help=False)
     linear = which.algo in LINEAR
     try:
-        if which.algo not in {*LINEAR, *DEFAULTS}:
-            raise ValueError(f"There is no --algo {which.algo!r}.{suggestion(which.algo, [*LINEAR, *DEFAULTS])}")
+        known([*LINEAR, *DEFAULTS])("--algo", which.algo)
         registry = ConstructorRegistry()
         registry.primitive_rule(partial(_built, which.plant()))
         options: Any = tyro.cli(
@@ -171,7 +158,8 @@ def _train(options: Options, learner: Learner, out: Path, command: str, console:
     with Progress(*columns, console=console) as progress:
         bars = {seed: progress.add_task(f"seed {seed}", total=1.0) for seed in seeds}
 
-        def show(seed: int, share: float, score: str) -> None:
+        def show(news: tuple[int, float, str]) -> None:
+            seed, share, score = news
             progress.update(bars[seed], completed=share, description=", ".join(filter(None, (f"seed {seed}", score))))
 
         if min(options.workers, options.seeds) == 1:
@@ -179,12 +167,12 @@ def _train(options: Options, learner: Learner, out: Path, command: str, console:
         else:
             with get_context("spawn").Manager() as manager, pool(options.workers, learner=learner) as executor:
                 news: Any = manager.Queue()
-                report = partial(_send, news)
-                jobs = {seed: executor.submit(_train_one, learner, seed, out, command, report) for seed in seeds}
+                jobs = {seed: executor.submit(_train_one, learner, seed, out, command, news.put) for seed in seeds}
                 going = set(jobs.values())
                 while going:
                     finished, going = wait(going, timeout=0.5, return_when=FIRST_EXCEPTION)
-                    _show(news, show)
+                    while not news.empty():
+                        show(news.get())
                     for job in finished:
                         job.result()
                 done = {seed: job.result() for seed, job in jobs.items()}
@@ -205,18 +193,13 @@ def _train_one(learner: Learner, seed: int, out: Path, command: str, report: Cal
     folder = out / f"seed-{seed}"
     if isinstance(learner, DeepRecipe):
         recipe = learner
-        return train_deep(
-            recipe,
-            seed,
-            out=folder,
-            command=command,
-            progress=lambda seen: report(
-                seed,
-                min(seen.steps / recipe.steps, 1.0),
-                f"return {seen.score:.0f}" if recipe.env else f"{seen.success:.0%} succeed",
-            ),
-        )
-    training = learner.train(seed, progress=lambda share: report(seed, share, ""))
+
+        def watch(seen: Evaluation) -> None:
+            score = f"return {seen.score:.0f}" if recipe.env else f"{seen.success:.0%} succeed"
+            report((seed, min(seen.steps / recipe.steps, 1.0), score))
+
+        return train_deep(recipe, seed, out=folder, command=command, progress=watch)
+    training = learner.train(seed, progress=lambda share: report((seed, share, "")))
     training.policy.about["command"] = command
     folder.mkdir(parents=True, exist_ok=True)
     training.policy.save(folder / "policy.npz")
@@ -234,18 +217,6 @@ def _row(learner: Learner, training: Training) -> dict[str, str]:
     )
     spent = {"environment steps": f"{curve['steps'][-1]:,}"} | cost | {"s": f"{curve['wall_seconds'][-1]:.0f}"}
     return {"best after": f"{curve['steps'][best]:,}"} | score | spent
-
-
-def _send(news: Any, *report: Any) -> None:
-    news.put(report)
-
-
-def _show(news: Any, show: Callable[..., None]) -> None:
-    while True:
-        try:
-            show(*news.get_nowait())
-        except Empty:
-            return
 
 
 if __name__ == "__main__":

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -149,7 +147,10 @@ class Training:
 
 @runtime_checkable
 class Learner(Protocol):
-    """A description of a learner: it is built with its rig first, learns from a seed, and stays as it is."""
+    """A description of a learner: it is built with its rig first, learns from a seed, and stays as it is.
+
+    Settings out of their range and rigs that cannot be learned on are refused with a ValueError where it is built.
+    """
 
     @property
     def rig(self) -> Rig:
@@ -206,45 +207,6 @@ def training_rig(rig: Rig | str, learner: str) -> Rig:
             "Train on the ideal rig, then simulate the policy on this one."
         )
     return rig
-
-
-_RANGES: Mapping[str, tuple[Callable[[float], bool], str]] = MappingProxyType(
-    {
-        "positive": (lambda value: value > 0, "finite and greater than 0"),
-        "nonnegative": (lambda value: value >= 0, "finite and at least 0"),
-        "portion": (lambda value: 0 < value <= 1, "above 0 and at most 1"),
-        "share": (lambda value: 0 <= value <= 1, "within 0 and 1"),
-        "angle": (lambda value: 0 < value <= math.pi / 2, "above 0 and at most pi/2"),
-    }
-)
-"""Ranges of settings by name: what is within, and how it is called."""
-
-
-def check_settings(
-    settings: object, *rules: tuple[str, bool, str], whole: Sequence[str] = (), **ranges: Sequence[str]
-) -> None:
-    """Refuse the first setting out of its range, unless it is None and None is its default.
-
-    Each rule has the setting's name, whether it is good, and what was expected; ``whole`` names settings that are whole
-    numbers, at least 1; the others are named by their range, one of ``_RANGES``.
-    """
-    named = [(name, kind) for kind, names in (("whole", whole), *ranges.items()) for name in names]
-    for name, kind in named:
-        value = getattr(settings, name)
-        if value is None and getattr(type(settings), name, ...) is None:
-            continue
-        if kind == "whole":
-            checked_whole(name, value)
-        elif not (is_finite(value) and _RANGES[kind][0](value)):
-            raise ValueError(f"{name} must be {_RANGES[kind][1]}; got {value!r}.")
-    for name, good, wanted in rules:
-        if not good:
-            raise ValueError(f"{name} must be {wanted}; got {getattr(settings, name)!r}.")
-
-
-def is_vector(values: Sequence[float], n: int, least: float = -math.inf) -> bool:
-    """Return whether values are ``n`` finite numbers, at least the least."""
-    return len(values) == n and all(is_finite(value) and value >= least for value in values)
 
 
 def samples_within(seconds: float | None, sample_time: float) -> int:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -199,6 +199,16 @@ def test_a_budget_that_is_no_time_is_refused_before_anything_runs(build, seconds
     message = f"seconds must be finite and at least one sample, 0.02 s; got {seconds!r}."
     with pytest.raises(ValueError, match=whole(message)):
         learner.train(0, seconds=seconds)
+
+
+@every_learner
+def test_a_number_among_the_settings_is_no_nan_no_word_and_none_only_where_it_may_be_left_out(build):
+    learner = build(RIG)
+    numbers = [each for each in fields(learner) if isinstance(each.default, int | float) and each.type != "bool"]
+    for each in [] if isinstance(learner, CrossEntropy) else numbers:
+        for odd in (np.nan, "1", *[None] * ("None" not in str(each.type))):
+            with pytest.raises(ValueError, match=rf"^{each.name} must be .+; got {odd!r}\.$"):
+                replace(learner, **{each.name: odd})
 
 
 def test_acceptance_tests_are_within_the_budget():
