@@ -117,7 +117,9 @@ class LeastForce:
         self._solver = self._program.solver(fatrop=_LIMITS, ipopt=_LIMITS, compiled=compiled)
         self.backend = self._solver.backend
 
-    def __call__(self, x0: npt.ArrayLike, *, guesses: int = 0, seed: int = 0) -> Trajectory:
+    def __call__(
+        self, x0: npt.ArrayLike, *, guess: Trajectory | None = None, guesses: int = 0, seed: int = 0
+    ) -> Trajectory:
         r"""Return the motion from a state that asks for the least force.
 
         A start far out is hard to solve from nothing: one in the same direction, but within 0.2 rad, is solved first,
@@ -127,6 +129,9 @@ class LeastForce:
         ----------
         x0 : array_like (6,)
             The start; its angles are meant as they are, whole turns and all.
+        guess : Trajectory, optional
+            What an earlier call returned for a start in the same direction, and as many samples: the first guess is
+            this motion, made greater or smaller.
         guesses : int
             Further guesses, random: a straight line, bent, with random inputs and force.  The best is kept.
         seed : int
@@ -140,7 +145,7 @@ class LeastForce:
         Raises
         ------
         ValueError
-            If the start is no state.
+            If the start is no state, or the guess has another number of samples.
         NoTrajectory
             If the solver finds none.
         """
@@ -150,11 +155,20 @@ class LeastForce:
         away = as_states(start)[0] - self._target
         N = self.horizon_steps
         size = float(np.abs(away[1:3]).max())
-        share = _NEAR / size if _NEAR < size < math.pi / 2 else 1.0
         line = np.linspace(1.0, 0.0, N + 1)[:, None]
-        first = self._from(share * away, line * (share * away), np.zeros(N), 1.0)
-        if share < 1 and first is not None:
-            x, v, F = first
+        share, near = 1.0, (line * away, np.zeros(N), 1.0)
+        if guess is not None:
+            if len(guess.u) != N:
+                raise ValueError(f"guess must have {N} samples; got {len(guess.u)}.")
+            F = max(float(guess.about["force"]), 1e-6)
+            near = guess.x - self._target, guess.u / F, F / self._unit
+            share = float(np.abs(near[0][0, 1:3]).max()) / size
+        elif _NEAR < size < math.pi / 2:
+            share = _NEAR / size
+            near = self._from(share * away, share * near[0], near[1], 1.0)
+        first = None
+        if near is not None:
+            x, v, F = near
             first = self._from(away, x / share, v, min(F / share, 0.9 * _MOST))
         rng = np.random.default_rng(seed)
         all_found = [first]

@@ -11,16 +11,15 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from scipy.interpolate import RegularGridInterpolator
 
 import dpend
 from dpend.params import Array
 
-from . import recoverable
+from ._boundary import kept_boundary
 from ._figures import facets
 
 EXTENT = 0.8
-"""Greatest angle on a map, rad; as on that of ``recoverable``."""
+"""Greatest angle on a map, rad."""
 
 _RIM, _SHADES = "#d0d0d0", colormaps["Blues"]
 
@@ -40,13 +39,8 @@ def basin(rig: dpend.Rig, controller: dpend.Controller, side: int, seed: int) ->
 
 
 def part_saved(saved: npt.NDArray[Any]) -> float:
-    """Return the share of what can be saved that a basin ``(side, side)`` holds, by area; of trainings, the mean.
-
-    What can be saved is where the least force, linear between the points of ``recoverable``'s map, is within the limit.
-    """
-    angles, force = recoverable.shipped_map()
-    least = RegularGridInterpolator((angles, angles), force)(starts(len(saved))[:, [2, 1]])
-    return float(saved.ravel()[least <= recoverable.FORCE].mean())
+    """Return the share of what can be saved that a basin ``(side, side)`` holds, by area; of trainings, the mean."""
+    return float(saved.ravel()[kept_boundary().savable(starts(len(saved)))].mean())
 
 
 def plot_basins(basins: Mapping[str, Array], columns: int = 4, known: bool = True) -> Figure:
@@ -54,13 +48,12 @@ def plot_basins(basins: Mapping[str, Array], columns: int = 4, known: bool = Tru
 
     ``basins`` are, by name, maps ``(side, side)`` by θ2 and θ1: the share of trainings whose controller saves a start.
     """
+    ring = kept_boundary().ring() if known else np.empty((0, 2))
     rows, limits = -(-len(basins) // columns), (-EXTENT - 0.03, EXTENT + 0.03)
     figure, axes = facets(rows, columns, height=1.65 * rows + 0.75, sharex=True, sharey=True)
     for axis, (name, saved) in zip(axes.flat, basins.items(), strict=False):
-        if known:
-            angles, force = recoverable.shipped_map()
-            axis.contourf(angles, angles, force, [0.0, recoverable.FORCE], colors=[_RIM])
-            axis.contour(angles, angles, force, [recoverable.FORCE], colors="k", linewidths=1.0, zorder=3)
+        axis.fill(*ring.T, color=_RIM, lw=0)
+        axis.plot(*ring.T, color="k", lw=1.0, zorder=3)
         outer = EXTENT + EXTENT / max(len(saved) - 1, 1)
         axis.imshow(
             np.ma.masked_where(saved == 0, _shade(saved)),
@@ -77,7 +70,7 @@ def plot_basins(basins: Mapping[str, Array], columns: int = 4, known: bool = Tru
         Patch(facecolor=_SHADES(_shade(1.0)), label="saved"),
         Patch(facecolor=_SHADES(_shade(0.5)), label="by half of the trainings"),
         Patch(facecolor=_RIM, label="could be saved"),
-        Line2D([], [], color="k", lw=1.2, label=f"least force {recoverable.FORCE:g} N"),
+        Line2D([], [], color="k", lw=1.2, label="boundary of that"),
     ]
     figure.legend(handles=handles if known else handles[:2], loc="outside upper center", ncols=4)
     return figure

@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from dpend.params import Array
 
-from . import recoverable
 from ._estimates import Estimate, crossing, mean_share, number, ranking, share
 from ._field import CONTENDERS, YOURS, TaskName, styles
 from ._perturbations import AXES, NOMINAL, score
@@ -26,7 +25,7 @@ UP = {start: f"up from {start}, s" for start in ("hanging", "side", "anywhere")}
 """What is measured while swinging up, by start: when both links were up for good, NaN where they never were."""
 UNSCORED = (0.05,)
 SHOWN = (0.1, 0.2, 0.3, 0.4)
-REFERENCE = "best known"  # what any force can save, from studies.recoverable
+REFERENCE = "best known"  # what any force can save, from studies.recoverable, or any contender saves
 
 
 class Place(NamedTuple):
@@ -91,6 +90,7 @@ GROUPS = {
         **_STANDING,
         **{f"λ = {lam:g}": f"Starts saved, %, θ1, θ2 within {lam:g} rad, and Wilson's 95 % interval." for lam in SHOWN},
         "mean": "Starts saved, %, mean over λ = 0.1 to 0.6, which the rank goes by; 95 % interval.",
+        "of savable, %": "Saved of the starts that can be (studies.recoverable, or a contender), %, λ = 0.1 to 0.6.",
         "λ90, rad": "The λ at which 90 % are saved, and its 95 % interval.",
         "robust, %": f"Success in {_SETTINGS} settings of a rig that is not what was promised, from λ = 0.1, mean over "
         "six axes, and its 95 % interval (studies.robustness).",
@@ -169,6 +169,13 @@ def _saved(found: Mapping[float, npt.NDArray[Any]]) -> Line:
     }
 
 
+def _of_savable(found: Mapping[float, Array], known: Mapping[float, npt.NDArray[np.bool_]]) -> Cell:
+    """Return the share of the starts that can be saved which are saved, of all λ that count together."""
+    scored = [lam for lam in found if lam in known and lam not in UNSCORED]
+    can = sum(int(known[lam][: len(found[lam])].sum()) for lam in scored)
+    return cell(sum(float(found[lam].sum()) for lam in scored) / can if can else math.nan, ".1%")
+
+
 def _up(found: Mapping[str, Array]) -> Line:
     """Return from how many starts it swings up, and when."""
     line: Line = {}
@@ -236,19 +243,21 @@ def _place_in_words(name: str, task: TaskName, places: Places) -> str:
     return f"{name} ranks {n}{ending}{', equally,' * same} of {len(places)} at {_DOING[task]}"
 
 
-def board(table: Table, places: Mapping[TaskName, Places]) -> tuple[list[Sheet], str]:
+def board(
+    table: Table, places: Mapping[TaskName, Places], known: Mapping[float, npt.NDArray[np.bool_]]
+) -> tuple[list[Sheet], str]:
     """Return the leaderboard as tables, of each task and of costs, and in one as a page that sorts (HTML).
 
-    ``places`` is what :func:`ranked` returns, by task.
+    ``places`` is what :func:`ranked` returns, by task; ``known`` is which starts can be saved ``(n,)``, by λ.
     """
     prior = {contender.name: contender.prior_knowledge for contender in CONTENDERS}
     names = list(styles(table.rows["contender"], CONTENDERS))
-    measured = set(table.rows["quantity"])
-    known = {lam: saved for lam, saved in recoverable.shipped().items() if SAVED.get(lam) in measured}
     lines: dict[str, dict[str, Line]] = {
         task.capitalize(): {name: _at_task(table, name, task, place) for name, place in places.get(task, {}).items()}
         for task in TASKS
     }
+    for name, line in lines["Balance"].items():
+        line["of savable, %"] = _of_savable(outcomes_of(table, name, "balance"), known)
     lines["Balance"] |= {REFERENCE: _saved(known)} if known else {}
     lines["Cost"] = {name: _cost(table, name) for name in names}
     lines["Prior knowledge"] = {

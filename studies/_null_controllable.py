@@ -1,4 +1,4 @@
-"""From where bounded force can bring the two unstable modes of the linearized pendulum to rest."""
+"""From where bounded force can bring the linearized pendulum to rest: its two unstable modes, or all, on a track."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
+from scipy.optimize import linprog
 
 import dpend
 from dpend.params import Array, Params
@@ -36,11 +38,6 @@ class NullControllable(NamedTuple):
         z = np.atleast_2d(np.asarray(x, dtype=np.float64)) @ self.W.T
         shares: Array = np.max((z @ outward.T) / height, axis=1)
         return shares
-
-    def at_rest(self) -> Array:
-        """Return the boundary's cut with the states at rest at the origin: points ``(m, 2)`` of (θ1, θ2)."""
-        cut: Array = np.linalg.solve(self.W[:, 1:3], self.boundary.T).T.astype(np.float64)
-        return cut
 
 
 def null_controllable(params: Params, force: float, points: int = 400) -> NullControllable:
@@ -85,3 +82,33 @@ def null_controllable(params: Params, force: float, points: int = 400) -> NullCo
     ring = np.concatenate([arc, -arc])
     turn = np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1))
     return NullControllable(rates, W, ring if turn > 0 else ring[::-1])
+
+
+def farthest_on_track(
+    rig: dpend.Rig, direction: npt.ArrayLike, *, force: float, track: float, samples: int = 250
+) -> float:
+    r"""Return the greatest :math:`r` from which the linear plant comes to rest, the cart anywhere on its track.
+
+    It is a linear program, exact but for the horizon of :math:`N` samples, at whose end all but the position is zero:
+
+    .. math:: \max r \quad\text{s.t.}\quad x_0 = r d,\; x_{k+1} = A x_k + B u_k,\; |u_k| \le F,\; |p_k| \le p_\max
+
+    for a direction :math:`d` ``(6,)``, a force :math:`F`, N, and a track of :math:`\pm p_\max`, m, infinity for none.
+    """
+    A, B = dpend.discretize(*dpend.linearize(rig.params), rig.sample_time)
+    d, N = np.asarray(direction, dtype=np.float64), samples  # the variables are r, x_1 ... x_N, u_0 ... u_(N-1)
+    first = np.concatenate([-A @ d, np.zeros(6 * (N - 1))])[:, None]
+    motion = sparse.kron(sparse.eye(N), np.eye(6)) - sparse.kron(sparse.eye(N, k=-1), A)
+    bound = np.tile([track, *5 * [np.inf]], (N, 1))
+    bound[-1, 1:] = 0.0
+    high = np.concatenate([[np.inf], bound.ravel(), np.full(N, force)])
+    low = np.append(0.0, -high[1:])
+    solved = linprog(
+        np.append(-1.0, np.zeros(7 * N)),
+        A_eq=sparse.hstack([first, motion, sparse.kron(sparse.eye(N), -B)]).tocsc(),
+        b_eq=np.zeros(6 * N),
+        bounds=np.column_stack([low, high]),
+    )
+    if not solved.success:
+        raise RuntimeError(f"The linear program of {N} samples was not solved: {solved.message}")
+    return float(solved.x[0])

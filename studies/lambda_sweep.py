@@ -4,7 +4,8 @@ Method: every contender that balances does so on gustafsson2016, or another ``--
 samples; neither link may fall.  All λ share their directions.  The k-th training of a learner has the k-th part of the
 starts, 100 each as in the report; deep learners come as shipped, one training; those that take long get the first
 starts only.  Intervals are 95 %: Wilson's, of learners Student's over trainings.  λ50 and λ90 are where the curve falls
-to a half and to nine tenths, best known is studies.recoverable; maps show from which angles at rest each saves it.
+to a half and to nine tenths, best known are the starts that studies.recoverable or any contender saves; maps show from
+which angles at rest each saves it.
 
 Finding: LQR saves 100/99.9/87.3/67.3 % at λ = .1/.2/.3/.4, Q-learning tuned 100/98.4/82.2/61.3 % (100 of 100 trainings
 converge, by search and select), the report 94/92/78/49 %; as published no training converges (0 of 100).  From
@@ -14,7 +15,7 @@ converge, by search and select), the report 94/92/78/49 %; as published no train
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -25,10 +26,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 import dpend
+from dpend.tasks import check_lam
 from rl import LinearQLearning
 
-from . import _field, _runner, recoverable
+from . import _field, _runner
 from ._basins import basin, plot_basins
+from ._boundary import kept_boundary
 from ._estimates import Estimate, crossing, difference, mean_share, share
 from ._field import CONTENDERS, Contender, Cost, PriorKnowledge, find, styles
 from ._figures import (
@@ -46,7 +49,7 @@ from ._figures import (
 )  # fmt: skip
 from ._own import Own
 from ._runner import DEFAULT_RIG, AtLeastTwo, NonNegative, Plant, Positive, Report, Result, Table, where
-from ._tables import Sheet, cell, sheet
+from ._tables import Sheet, Value, cell, sheet
 
 MINUTES = 1
 
@@ -77,7 +80,7 @@ LADDER = ("LQR", "LQR, best weights", "sign of tuned linear", BASELINE, "DDPG ba
 """Those that are compared with the best linear law known, start by start."""
 
 DESIGNED, SHIPPED = "-", "shipped"  # how a "training" ended: a design, or a policy trained elsewhere, once
-BEST_KNOWN = "best known"  # what any force can save, from studies.recoverable
+BEST_KNOWN = "best known"  # what any force can save, from studies.recoverable, or any contender saves
 TRACED = ("LQR", "Q published", "Q tuned", "LSPI", "PPO balance")  # whose force is drawn: smooth beside bang-bang
 Falls = tuple[Estimate, Estimate]  # λ50 and λ90, at which a half and nine tenths of the starts are saved
 _TRACE_LAM, _TRACE_SECONDS = 0.1, 1.0
@@ -103,7 +106,12 @@ class Options(_field.Options, _runner.OnRig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        recoverable.check_spreads(self.lam)
+        if not self.lam:
+            raise ValueError("--lam needs at least one angle.")
+        for lam in self.lam:
+            check_lam(lam)
+        if len(set(self.lam)) < len(self.lam):
+            raise ValueError(f"--lam names an angle twice; got {self.lam}.")
         if not self.contenders("balance"):
             raise ValueError(f"--only names no contender that balances; got {self.only}.")
 
@@ -226,20 +234,44 @@ def falls_to(table: Table, contender: str) -> Falls:
     return _falls(list(shares), outcomes)
 
 
+def savable(table: Table) -> npt.NDArray[np.bool_]:
+    """Return which of the table's own starts can be saved ``(n, L)``, as far as is known, at each λ.
+
+    They are those within the boundary of studies.recoverable, and those that any contender saves.
+    """
+    lams, seed = sorted(set(table.rows["lam"])), int(table.rows["seed"].to_numpy()[0])
+    x = dpend.Balance(lam=1.0).starts(np.random.default_rng([seed, 1]), _starts(table), dpend.rig(DEFAULT_RIG))
+    known = np.transpose([kept_boundary().savable(lam * x) for lam in lams])
+    for own, saved in _saved(table):
+        known[own] |= saved
+    return known
+
+
+def _saved(table: Table, **fields: str) -> Iterator[tuple[slice, npt.NDArray[np.bool_]]]:
+    """Return which starts each job saved ``(n, L)``, and which of all starts these are."""
+    for job, rows in table.where(**fields).groupby("job"):
+        if "saved" in (arrays := table.by_job.get(int(str(job)), {})):
+            first = int(rows["first"].to_numpy()[0])
+            yield slice(first, first + len(arrays["saved"])), arrays["saved"] > 0
+
+
 def best(table: Table) -> tuple[dict[float, Estimate], Falls]:
-    """Return what can be saved at all, as far as is known: the share by λ within the table's, and λ50 and λ90."""
-    shipped, lams = recoverable.shipped() if _default(table) else {}, sorted(table.rows["lam"])
-    known = {lam: saved for lam, saved in shipped.items() if lams[0] <= lam <= lams[-1]}
-    if not known:
+    """Return what is saved at best of the table's own starts: the share by λ, and λ50 and λ90."""
+    if not _default(table):
         beyond = Estimate(math.inf, math.inf, math.inf)
         return {}, (beyond, beyond)
-    outcomes = np.stack(list(known.values()), axis=1)
-    shares = {lam: share(saved, len(saved)) for lam, saved in known.items()}
-    return shares, _falls(list(known), outcomes)
+    lams, known = sorted(set(table.rows["lam"])), savable(table)
+    shares = {lam: share(each.sum(), len(known)) for lam, each in zip(lams, known.T, strict=True)}
+    return shares, _falls(lams, known)
 
 
 def _falls(lams: list[float], outcomes: npt.NDArray[Any]) -> Falls:
     return crossing(lams, outcomes, 0.5, square=True), crossing(lams, outcomes, 0.9, square=True)
+
+
+def _starts(table: Table) -> int:
+    """Return of how many starts at each λ the contenders have all or a part."""
+    return int(np.max(table.rows["first"] + table.rows["episodes"]))
 
 
 def _default(table: Table) -> bool:
@@ -293,6 +325,7 @@ def report(table: Table) -> Report:
     title = f"Saved beyond the {BASELINE} law, points, on the starts that both had"
     tables = (
         saves,
+        sheet("Of the starts that can be saved: saved, %", _of_savable(table, success), ".1%", brief=brief),
         sheet(title, beyond, "+.1%", brief=brief),
         _falls_table(table, success, falls),
         *_learning_tables(table, success),
@@ -370,10 +403,22 @@ def _plot_gains(
     return figure
 
 
+def _of_savable(table: Table, success: Mapping[str, Curve]) -> Iterator[Mapping[str, Value]]:
+    if not _default(table):
+        return
+    known, lams = savable(table), sorted(set(table.rows["lam"]))
+    for name in success:
+        if parts := [(saved.sum(axis=0), known[own].sum(axis=0)) for own, saved in _saved(table, contender=name)]:
+            done, can = np.transpose(parts, (1, 2, 0))  # (L, trainings) each
+            shares = [mean_share(d / np.maximum(c, 1), c) for d, c in zip(done, can, strict=True)]
+            yield {"contender": name} | {f"λ = {lam:g}": each for lam, each in zip(lams, shares, strict=True)}
+
+
 def _falls_table(table: Table, success: Mapping[str, Curve], falls: Mapping[str, Falls]) -> Sheet:
     (known, known_falls), lines = best(table), []
     for name, curve in (({BEST_KNOWN: known} if known else {}) | dict(success)).items():
-        lams, starts, more = list(curve), 1000, None
+        lams, more = list(curve), None
+        starts = _starts(table)
         if name != BEST_KNOWN:
             starts = int(np.sum(table.where(contender=name, lam=lams[0])["episodes"]))
             by_report = {lam: saved(table, name, lam, "successes_report").value - curve[lam].value for lam in lams}

@@ -34,7 +34,8 @@ from rl.deep import read_recipe, read_trainings
 from rl.training import task_name
 
 from . import _field, _runner
-from ._board import SAVED, SHOWN, TASKS, UP, Places, board, mean_known, ranked
+from ._board import SAVED, SHOWN, TASKS, UP, Places, board, mean_known, outcomes_of, ranked
+from ._boundary import kept_boundary
 from ._closure import ROOT, file_hash
 from ._estimates import Estimate
 from ._field import CONTENDERS, RIG, Contender, Cost, TaskName, find, styles
@@ -249,6 +250,19 @@ WORK: Mapping[str, Callable[[Job, Contender], Values]] = {
 }  # fmt: skip
 
 
+def best_known(table: Table) -> dict[float, npt.NDArray[np.bool_]]:
+    """Return which of the table's own starts can be saved ``(n,)``, by λ: by studies.recoverable or any contender."""
+    runs = table.where(work="runs", task="balance")
+    known: dict[float, npt.NDArray[np.bool_]] = {}
+    for name in runs["contender"].unique():
+        for lam, saved in outcomes_of(table, name, "balance").items():
+            if lam not in known:
+                n, seed = int(np.max(runs["first"] + runs["runs"])), int(runs["seed"].to_numpy()[0])
+                known[lam] = kept_boundary().savable(_starts(Balance(lam=lam), n, seed))
+            known[lam][: len(saved)] |= saved > 0
+    return known
+
+
 def report(table: Table) -> Report:
     """Draw ranks, the best on top, and how often each is first; tabulate all measured, also on a page that sorts."""
     places: dict[TaskName, Places] = {task: found for task in TASKS if (found := ranked(table, task))}
@@ -261,7 +275,7 @@ def report(table: Table) -> Report:
             axis.text(1.02, line, name if line < 0 else f"{place.first:.0%}" if place else "no success", **beside)
         axis.set(xlim=(0.5, len(of) + 0.5), xticks=range(1, len(of) + 1), xlabel=f"rank, {task}, with 95 % interval")
         axis.grid(visible=False, axis="y")
-    tables, html = board(table, places)
+    tables, html = board(table, places, best_known(table))
     return Report(figures=figure, tables=tables, pages={"leaderboard.html": html})
 
 

@@ -1,260 +1,340 @@
-"""From which starts can the double pendulum be saved at all?
+"""From which angles at rest can the double pendulum be saved at all, and which limit decides?
 
-Method: gustafsson2016 (40 N, 2.4 m), starts at rest, 300 samples, neither link beyond a right angle.  A start is
-recoverable if any controller of a list, or one of yours (``--controller``), saves it in the simulator, or the motion of
-least force does (controllers/least_force.py), its forces replayed from the exact start, then LQR.  What is left is "not
-found", which is no proof.  Beside it stands an indicator, the null-controllable set of the linearisation's two unstable
-modes.  Random starts are those of studies.lambda_sweep; a grid of (θ1, θ2) gives the map.
+Method: a start is recoverable if some motion within force, track and right angles brings it upright and to rest.  Along
+each ray of the plane (θ1, θ2) the motion of least force (controllers/least_force.py) is sought until the start is found
+from which that is the rig's limit; half of the rays are mirror images.  All within the boundary is savable, so shares
+are areas.  Motions within the limit are replayed in the simulator.  Beside it: wider margins, no track, other tracks,
+and the linearised plant.  ``--check`` solves random starts one by one.
 
-Finding: at λ = .1/.2/.3/.4/.5/.6 100/100/98.7/86.5/73.8/60.1 % of 1000 starts each (95 %: ±1 to ±3), where LQR saves
-100/99.8/84.5/64.5/47.2/35.2 %.  What is found needs at most 39.99 N, what is not at least 40.04 N.  Of the recoverable
-among the first 200, iLQR MPC saves 99.5 % at λ = .3 and 97.6 % at .4.  By the report's criterion, which lets link 2
-swing round, all but 18 of 7000 starts are recoverable.  From the default options, kept in docs/results/recoverable.
+Finding: on gustafsson2016 98.9/88.7/76.6/62.3 % of the starts can be saved at λ = .3/.4/.5/.6; without its track it is
+100/98.5/90.0/80.1 %, for the linearised plant on its track 99.7/90.9/79.0/66.0 %: the track decides.  To save 90 % at
+λ = .4 takes 2.11 times the weight on the track, 1.61 times without.  100 of 100 random starts lie on their side of the
+boundary.  From the default options, kept in docs/results/recoverable.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 import pandas as pd
-from matplotlib.colors import ListedColormap
+from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
+from scipy.optimize import brentq
 
 import dpend
+from controllers import TVLQR, NoTrajectory, Trajectory
+from controllers.least_force import LeastForce
 from dpend.params import Array
-from dpend.tasks import check_lam
+from dpend.rig import ideal_rig
 
-from . import _field, _runner
-from ._closure import kept_table
-from ._estimates import share
-from ._figures import Style, facets, saved_by_angle
-from ._null_controllable import null_controllable
-from ._own import Own
-from ._rescue import FORCE, LAWS, MPC, NONE, OPTIMAL, RIG, Verdict, judge
-from ._runner import NonNegative, Positive, Report, Result, Table
-from ._table import read_rows, where
-from ._tables import Value, sheet
+from . import _runner
+from ._boundary import OWN, Boundary, boundary, boundary_by_force
+from ._figures import Curve, facets, legend_above, log_axis, palette, share_axis
+from ._null_controllable import farthest_on_track, null_controllable
+from ._runner import NonNegative, Plant, Report, Result, Table, where
+from ._tables import Value, cell, sheet
 
-MINUTES = 111
+MINUTES = 3
 
-_CHUNK = 50  # starts a job
-
-
-def check_spreads(lam: tuple[float, ...]) -> None:
-    """Refuse what is no list of greatest starting angles, each named once."""
-    if not lam:
-        raise ValueError("--lam needs at least one angle.")
-    for each in lam:
-        check_lam(each)
-    if len(set(lam)) < len(lam):
-        raise ValueError(f"--lam names an angle twice; got {lam}.")
+LAMS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
+HORIZONS = (150, 250)
+"""Samples in which a motion must come to rest, of the task's 300: on tracks up to the rig's own, on longer ones."""
+WIDE = 0.02
+"""What motions keep from the limits, m and rad, to see what that costs; otherwise ``OWN``, what a replay needs."""
+LEVELS = (0.5, 1.0, 1.5)
+"""Forces, by the rig's limit, at which a ray is solved; what lies between is interpolated."""
+SAVED = 0.9
+"""Share of the starts for which least force is weighed against track."""
+_NEAREST = 0.1  # rad, the first start on a ray
+_TOLERANCE = 4e-4  # share of the radius within which the boundary is known
+_ENDLESS = 4.0  # where no track is drawn
+_CLOSE = 0.95  # motions whose force is within this share of the limit are replayed in the simulator
+_CHUNK, _CHECKED = 50, 0.6  # random starts a job, and their λ
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_field.Options):
+class Options(_runner.OnRig):
     """Options of the command line."""
 
-    lam: tuple[float, ...] = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
-    starts: Positive = 1000  # Starts at each λ.
-    grid: NonNegative = 41
-    """Points on each side of the map; none for no map.  One half is computed, the other is its mirror image."""
-    extent: float = 0.8  # Greatest angle on the map, rad.
-    planned: NonNegative = 200
-    """iLQR MPC is tried on the first so many starts of planned_lam, whatever else saves them."""
-    planned_lam: tuple[float, ...] = (0.3, 0.4)  # Each λ at which iLQR MPC is compared with what can be saved.
-    guesses: NonNegative = 0
-    """Random guesses of optimal control beside the first one: a check that the least force is no mere local minimum."""
+    rays: int = 72  # Rays once round, a multiple of 12.  Half are solved, of what is beside it fewer.
+    tracks: tuple[float, ...] = (0.15, 0.3, 0.6, 2.4)
+    """Other tracks, from the middle to the end, by the length of both links."""
+    check: NonNegative = 100  # Random starts that are solved one by one, θ1 and θ2 within 0.6 rad.
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.only:
-            raise ValueError("--only leaves out no contender here: every start is tried by all that may save it.")
-        check_spreads(self.lam)
-        if not 0 < self.extent < math.pi / 2:
-            raise ValueError(f"--extent must be between 0 and pi/2 rad; got {self.extent}.")
+        if self.rays < 12 or self.rays % 12:
+            raise ValueError(f"--rays must be a multiple of 12; got {self.rays}.")
+        if not all(track > 0 for track in self.tracks):
+            raise ValueError(f"--tracks must be greater than 0; got {self.tracks}.")
+        if not math.isfinite(self.plant.rig.force_limit):
+            raise ValueError(f"On {self.rig} every start can be saved: it has no force limit; --set force_limit=40.")
 
 
 @dataclass(frozen=True)
 class Job:
-    """Fifty starts, or what is left of them, at one λ or on the map."""
+    """One ray on one track, or some random starts."""
 
-    lam: float | None  # None on the map
-    first: int
-    starts: int
-    planned: int  # of these iLQR MPC is tried on the first, whatever else saves them
-    side: int  # points on a side of the map
-    extent: float  # greatest angle on it, rad
-    guesses: int
+    plant: Plant
+    model: str  # nonlinear or linear
+    track: float  # m, from the middle to the end
+    margin: float  # what is kept from the track's end, m, and from right angles, rad
+    limit: float  # force, N
+    degrees: float  # the ray's direction, atan2(θ2, θ1); 0 of random starts
+    first: int  # of the random starts
+    starts: int  # how many; none on a ray
     seed: int
-    yours: tuple[Own, ...]
-
-
-def map_starts(side: int, extent: float) -> Array:
-    """Return the starts of the computed half of the map ``(n, 6)``, row by row: θ1 > 0, or θ1 = 0 and θ2 >= 0."""
-    angles = np.linspace(-extent, extent, side) if side > 1 else np.zeros(side)
-    angles[np.abs(angles) < 1e-12] = 0.0
-    th1, th2 = np.meshgrid(angles, angles, indexing="ij")
-    half = (th1 > 0) | ((th1 == 0) & (th2 >= 0))
-    x = np.zeros((int(half.sum()), 6))
-    x[:, 1], x[:, 2] = th1[half], th2[half]
-    return x
 
 
 def jobs(options: Options) -> list[Job]:
-    """List the work: fifty starts a job."""
-    lams, starts, side, planned = options.lam, options.starts, options.grid, options.planned
+    """List the work: a ray a job, those on the rig's own track first."""
+    rig, rays, check, tracks = options.plant.rig, options.rays, options.check, options.tracks
+    own, limit = float(rig.track_limit), float(rig.force_limit)
+    beside = [("linear", own, 0.0)]
     if options.quick:
-        lams, starts, side, planned = lams[-2:], min(starts, 4), min(side, 3), min(planned, 1)
-    of = dict.fromkeys(lams, starts) | {None: len(map_starts(side, options.extent))}
-    yours = tuple(contender.own for contender in options.contenders("balance") if contender.own)
-    return [
-        Job(
-            lam, first, min(_CHUNK, n - first),
-            planned=max(planned - first, 0) if lam in options.planned_lam else 0,
-            side=side if lam is None else 0, extent=options.extent if lam is None else 0.0,
-            guesses=options.guesses, seed=options.seed, yours=yours,
-        )
-        for lam, n in of.items()
-        for first in range(0, n, _CHUNK)
-    ]  # fmt: skip
+        rays, check, tracks = 12, min(check, 2), ()
+    else:
+        beside += [("nonlinear", math.inf, OWN), ("nonlinear", own, WIDE), ("linear", math.inf, 0.0)]
+    kinds = {("nonlinear", own, OWN): rays}
+    for kind in beside:
+        kinds.setdefault(kind, rays // 2)
+    for track in tracks:
+        kinds.setdefault(("nonlinear", track * _length(rig), OWN), rays // 6)
+    along = [
+        Job(options.plant, *kind, limit, 360.0 * k / n, 0, 0, options.seed)
+        for kind, n in kinds.items()
+        for k in range(n // 2)
+    ]
+    return along + [
+        Job(options.plant, "nonlinear", own, OWN, limit, 0.0, first, min(_CHUNK, check - first), options.seed)
+        for first in range(0, check, _CHUNK)
+    ]
+
+
+def _length(rig: dpend.Rig) -> float:
+    return float(rig.params.length1 + rig.params.length2)
 
 
 def run(job: Job) -> Result:
-    """Judge fifty starts."""
-    if job.lam is None:
-        task, x0 = dpend.Balance(), map_starts(job.side, job.extent)
+    """Solve starts along a ray until the boundary is known, or random starts one by one."""
+    rig = job.plant.rig
+    if job.starts:
+        rng, n = np.random.default_rng([job.seed, 2]), job.first + job.starts
+        starts = dpend.Balance(lam=_CHECKED).starts(rng, n, rig)[job.first :]
+        rows = [_row(job, start, _solve(job, start)) for start in starts]
     else:
-        task = dpend.Balance(lam=job.lam)
-        x0 = task.starts(np.random.default_rng([job.seed, 1]), job.first + job.starts, RIG)
-    x0 = x0[job.first : job.first + job.starts]
-    yours = [_field.unchanged(own) for own in job.yours]
-    verdicts = judge(x0, task, everywhere=job.lam is None, planned=job.planned, guesses=job.guesses, yours=yours)
-    return Result([
-        {"index": job.first + i, "th1": round(float(start[1]), 5), "th2": round(float(start[2]), 5)}
-        | rounded(verdict)._asdict()
-        for i, (start, verdict) in enumerate(zip(x0, verdicts, strict=True))
-    ])  # fmt: skip
+        angle = math.radians(job.degrees)
+        ray = np.array([0.0, math.cos(angle), math.sin(angle), 0.0, 0.0, 0.0])
+        if job.model == "nonlinear":
+            rows = [_row(job, radius * ray, plan) for radius, plan in sorted(_along(job, ray).items())]
+        else:
+            if math.isfinite(job.track):
+                radius = farthest_on_track(rig, ray, force=job.limit, track=job.track)
+            else:
+                radius = 1 / float(null_controllable(rig.params, job.limit).share(ray)[0])
+            rows = [_row(job, radius * ray, None) | {"force": job.limit}]
+    scales = {"weight": float(rig.params.coefficients().d1 * rig.params.gravity), "length": _length(rig)}
+    return Result([row | scales for row in rows])
 
 
-def rounded(verdict: Verdict) -> Verdict:
-    """Return a verdict with its force to a hundredth of a newton, as the table has it."""
-    return verdict._replace(least_force=round(verdict.least_force, 2))
+def _row(job: Job, start: Array, plan: Trajectory | None) -> dict[str, Any]:
+    """Return what is known of a start: the least force, N, and, near the limit, whether its motion saves it."""
+    force, saves = _force(plan), "-"
+    if plan is not None and _CLOSE * job.limit < force <= job.limit:
+        law = TVLQR(plan.rig, plan, index="time")
+        success = dpend.simulate_many(plan.rig, law, start[None], task=dpend.Balance()).success[0]
+        saves = "yes" if success else "no"
+    return {
+        "th1": round(float(start[1]), 6),
+        "th2": round(float(start[2]), 6),
+        "force": round(force, 4),
+        "saves": saves,
+    }
 
 
 @cache
-def shipped_rows() -> pd.DataFrame:
-    """Return the rows of the table that is shipped."""
-    return read_rows(kept_table("recoverable"))
+def _search(plant: Plant, track: float, margin: float) -> LeastForce:
+    rig = replace(ideal_rig(plant.rig), track_limit=track)
+    samples = HORIZONS[1 if track > float(plant.rig.track_limit) or math.isinf(track) else 0]
+    limits = 2 * (math.pi / 2 - margin,)
+    return LeastForce(rig, horizon=samples * rig.sample_time, angle_limits=limits, track_margin=margin)
 
 
-def shipped() -> dict[float, npt.NDArray[np.bool_]]:
-    """Return which starts ``Balance(lam).starts(default_rng([0, 1]), n, rig)`` are recoverable, ``(n,)`` by λ."""
-    return {lam: own["recoverable"].to_numpy() for lam, own in _by_lam(shipped_rows()).items()}
+def _solve(job: Job, start: Array, guess: Trajectory | None = None, expected: float = math.inf) -> Trajectory | None:
+    """Return the motion of least force from a guess; from none too, and the better, if that is far from expected."""
+    search, best = _search(job.plant, job.track, job.margin), None
+    for first in (guess, None) if guess else (None,):
+        try:
+            plan = search(start, guess=first)
+        except NoTrajectory:
+            continue
+        best = min(best or plan, plan, key=_force)
+        if _force(best) <= 1.3 * expected:
+            break
+    return best
 
 
-def shipped_map() -> tuple[Array, Array]:
-    """Return angles of either link ``(m,)``, rad, and the least force ``(m, m)`` from there at rest, by θ2 and θ1.
-
-    N, from the table that is shipped; NaN where no motion was found.
-    """
-    on_map = _on_map(shipped_rows())
-    return _mirrored(on_map, on_map["least_force"])
+def _force(plan: Trajectory | None) -> float:
+    return math.inf if plan is None else float(plan.about["force"])
 
 
-def _on_map(rows: pd.DataFrame) -> pd.DataFrame:
-    return rows.loc[rows["lam"].isna()]
+def _along(job: Job, ray: Array) -> dict[float, Trajectory | None]:
+    """Return the motions from starts on a ray by their distance from upright: up to some forces, then at the limit."""
+    found: dict[float, Trajectory | None] = {}
+
+    def solve(radius: float, expected: float) -> float:
+        near = min(found, key=lambda each: (found[each] is None, abs(each - radius)), default=0.0)
+        found[radius] = _solve(job, radius * ray, found.get(near), expected)
+        return _force(found[radius])
+
+    edge = (math.pi / 2 - job.margin) / float(np.abs(ray).max())
+    before, last = (0.0, 0.0), (_NEAREST, solve(_NEAREST, math.inf))
+    for force in np.multiply(LEVELS, job.limit):
+        while last[1] < 0.99 * force and last[0] < edge:
+            slope = (last[1] - before[1]) / (last[0] - before[0])
+            radius = min(last[0] + (force - last[1]) / slope, 2 * last[0], edge)
+            before, last = last, (radius, solve(radius, last[1] + slope * (radius - last[0])))
+    forces = {0.0: 0.0} | {radius: _force(plan) for radius, plan in found.items()}
+    high = min((radius for radius, force in forces.items() if force > job.limit), default=edge)
+    low, aside = max(radius for radius, force in forces.items() if radius <= high and force <= job.limit), 0.45
+    while high - low > _TOLERANCE * high:
+        part = (job.limit - forces[low]) / (forces[high] - forces[low]) if math.isfinite(forces[high]) else 0.5
+        some = _TOLERANCE * high
+        radius = min(max(low + part * (high - low) + aside * some, low + 0.2 * some), high - 0.2 * some)
+        forces[radius] = solve(radius, job.limit)
+        if forces[radius] > job.limit:
+            high, aside = radius, -0.45
+        else:
+            low, aside = radius, 0.45
+    return found
 
 
-def _by_lam(rows: pd.DataFrame) -> dict[float, pd.DataFrame]:
-    """Return the random starts by λ, each in the order in which they were drawn."""
-    return {float(str(lam)): own.sort_values("index") for lam, own in rows.groupby("lam")}
-
-
-def _mirrored(on_map: pd.DataFrame, values: npt.ArrayLike) -> tuple[Array, Array]:
-    """Return the angles of a map, and what is known of its computed half over the whole of it, by θ2 and θ1."""
-    half = on_map[["th1", "th2"]].to_numpy()
-    both = np.concatenate([half, -half]) + 0.0  # no minus zero
-    angles, places = np.unique(both, return_inverse=True)
-    across, upwards = places.reshape(both.shape).T
-    whole = np.full((len(angles), len(angles)), np.nan)
-    whole[upwards, across] = np.tile(np.asarray(values, dtype=np.float64), 2)
-    return angles, whole
-
-
-_CURVES: dict[str, tuple[Style, str]] = {
-    "recoverable by the report's criterion (link 1 alone)": (("#777777", "v", ":"), "report"),
-    "recoverable": (("k", "o", "-"), "recoverable"),
-    "sign of stiff LQR": (("#D55E00", "^", "--"), "stiff_sign"),
-    "LQR": (("#0072B2", "s", "-."), "lqr"),
+_SETS = {
+    "recoverable": ("nonlinear", OWN, False),
+    f"2 cm and {WIDE:g} rad from the limits": ("nonlinear", WIDE, False),
+    "without a track": ("nonlinear", OWN, True),
+    "linear plant, on the track": ("linear", 0.0, False),
+    "linear plant, without a track": ("linear", 0.0, True),
 }
 
 
 def report(table: Table) -> Report:
-    """Draw the share that can be saved against λ, and the map; tabulate what saves it."""
-    by_lam, on_map = _by_lam(table.rows), _on_map(table.rows)
-    shares = {
-        name: {lam: share(own[column], len(own)) for lam, own in by_lam.items()}
-        for name, (_, column) in _CURVES.items()
-    }  # fmt: skip
-    figure, ((axis,),) = facets(1, height=3.8)
-    saved_by_angle(axis, shares, [style for style, _ in _CURVES.values()])
-    axis.legend(loc="lower left")
-    figures = {"": figure} | ({"_map": _plot_map(on_map)} if len(on_map) else {})
-    heading = "λ = {:g}".format
-    counts: dict[str, Value] = {"": "starts", **{heading(lam): len(own) for lam, own in by_lam.items()}}
-    saved = [{"": name} | {heading(lam): each for lam, each in of.items()} for name, of in reversed(shares.items())]
-    ways = dict.fromkeys((*LAWS, OPTIMAL, MPC, *(by for own in by_lam.values() for by in own["by"] if by != NONE)))
-    first = [
-        {"": "not found" if way == NONE else way}
-        | {heading(lam): int(np.sum(own["by"] == way)) for lam, own in by_lam.items()}
-        for way in (*ways, NONE)
+    """Draw the boundaries, the shares by λ, the least force over the plane and over the track; tabulate them."""
+    rows = where(table.rows, starts=0)
+    first = rows.iloc[0]  # on the rig's own track
+    own, length, weight = (float(first[name]) for name in ("track", "length", "weight"))
+    sets = {
+        name: boundary(found)
+        for name, (model, margin, free) in _SETS.items()
+        if len(found := where(rows, model=model, margin=margin, track=math.inf if free else own))
+    }
+    shares = {name: {lam: of.share(lam) for lam in LAMS} for name, of in sets.items()}
+    solved = where(rows, model="nonlinear", margin=OWN)
+    by_force = {track: boundary_by_force(where(solved, track=track)) for track in sorted(set(solved["track"]))}
+    most = LEVELS[-1] * float(first["limit"])
+    needed = {
+        track / length: {lam: _least(at, lam, most) / weight for lam in LAMS[1:]} for track, at in by_force.items()
+    }
+    lines = [
+        {"": name}
+        | {f"λ = {lam:g}": cell(each, ".2%") for lam, each in shares[name].items()}
+        | {f"λ{part}, rad": cell(of.lam(part / 100), ".3f") for part in (90, 50)}
+        for name, of in sets.items()
     ]
+    radii = [
+        {"towards, °": f"{degrees:g}"} | {name: float(of.radius(math.radians(degrees))) for name, of in sets.items()}
+        for degrees in range(0, 180, 15)
+    ]
+    least = [{"track": f"{track:g}"} | {f"λ = {lam:g}": each for lam, each in of.items()}
+             for track, of in needed.items()]  # fmt: skip
+    brief = {"", *(f"λ = {lam:g}" for lam in LAMS[3:])}
     tables = [
-        sheet("Starts that are saved, %", [counts, *saved], ".1%", brief={"", *list(counts)[-4:]}),
-        sheet("What saved a start first, in this order", first),
-        sheet("Of the recoverable among the first starts: saved, %", _planned(by_lam)),
-    ]
-    return Report(figures=figures, tables=[each for each in tables if each.lines])
+        sheet("Starts inside, %, and the numerical error", lines, brief=brief),
+        sheet("Distance of the boundary, rad", radii, ".4f", note="towards: atan2(θ2, θ1)"),
+        sheet(f"Least force that saves {SAVED:.0%} of the starts, by the weight Mg", least, ".3f",
+              note="track: from the middle to the end, by the length of both links"),
+        sheet("Checks", _checks(table.rows, sets["recoverable"])),
+    ]  # fmt: skip
+    map_ = _plot_resources(by_force[own], float(first["limit"]), weight, needed, own / length)
+    return Report(figures={"": _plot_sets(sets, shares), "_map": map_}, tables=tables)
 
 
-def _plot_map(rows: pd.DataFrame) -> Figure:
-    """Draw what saves each start, the least force as contours, and the indicator's boundary."""
-    figure, ((axis,),) = facets(1, height=6.0)
-    feedback = np.where(rows["lqr"], 3, np.where(rows["by"].isin(list(LAWS)), 2, 1))
-    angles, kind = _mirrored(rows, np.where(rows["recoverable"], feedback, 0))
-    force = _mirrored(rows, rows["least_force"])[1]
-    words = {"not found": "#f0f0f0", "only optimal control or others": "#b8b8b8", "another LQR or its sign": "#8ab6dc",
-             "LQR, Q = I, R = 1": "#2d6da8"}  # fmt: skip
-    colours = ListedColormap(list(words.values()))
-    axis.pcolormesh(angles, angles, kind, cmap=colours, vmin=-0.5, vmax=3.5, shading="nearest")
-    if len(angles) > 4:
-        levels = axis.contour(angles, angles, force, [10, 20, 40, 80], colors="k", linewidths=[0.6, 0.6, 1.6, 0.6])
-        axis.clabel(levels, fmt="%g N", fontsize=7)
-    ring, of = null_controllable(RIG.params, FORCE).at_rest(), "null-controllable set of the linearization, 40 N"
-    (line,) = axis.plot(*np.vstack([ring, ring[:1]]).T, "--", color="#D55E00", lw=1.6, label=of)
-    patches = [Patch(facecolor=colour, edgecolor="k", lw=0.4, label=name) for name, colour in words.items()]
-    axis.legend(handles=[*reversed(patches), line], ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    limits = 1.02 * angles[0] - 0.02, 1.02 * angles[-1] + 0.02
-    axis.set(xlabel="θ1 (rad)", ylabel="θ2 (rad)", xlim=limits, ylim=limits, aspect="equal")
+def _plot_sets(sets: Mapping[str, Boundary], shares: Mapping[str, Curve]) -> Figure:
+    figure, ((plane, by_lam),) = facets(1, 2, height=4.1, width=8.2)
+    looks = palette(sets)
+    for name, of in sets.items():
+        colour, _, line = looks[name]
+        plane.plot(*of.ring().T, color=colour, ls=line, lw=1.4)
+        by_lam.plot(LAMS, [each.value for each in shares[name].values()], color=colour, ls=line, lw=1.4, label=name)
+    _angles(plane)
+    share_axis(by_lam, "starts inside")
+    by_lam.set_xlabel("greatest starting angle λ (rad)")
+    by_lam.legend(loc="lower left")
     return figure
 
 
-def _planned(by_lam: Mapping[float, pd.DataFrame]) -> Iterator[dict[str, Value]]:
-    """Return what is saved of the first starts, on which iLQR MPC was tried without a gap whatever else saves them."""
-    for lam, own in by_lam.items():
-        tried = (own["mpc"] != "-").to_numpy()
-        n = len(tried) if tried.all() else int(np.argmin(tried))
-        can = where(own.head(n), recoverable=True)
-        if len(can) and own["lqr"].to_numpy()[:n].any():  # else it was only tried where all else fails
-            saved = {"LQR": can["lqr"], "sign of stiff LQR": can["stiff_sign"], "iLQR MPC": can["mpc"] == "yes"}
-            shares = {f"{name}, %": share(each, len(can)) for name, each in saved.items()}
-            yield {"λ": f"{lam:g}", "first": n, "recoverable": len(can), **shares}
+def _plot_resources(
+    at: Callable[[float], Boundary],
+    limit: float,
+    weight: float,
+    needed: Mapping[float, Mapping[float, float]],
+    own: float,
+) -> Figure:
+    """Draw the least force over the plane, and over the track the force under which most starts are saved."""
+    figure, ((plane, tracks),) = facets(1, 2, height=4.1, width=8.2)
+    for part in (0.25, 0.5, 0.75, 1.0, 1.25, 1.5):
+        (line,) = plane.plot(*at(part * limit).ring().T, color=colormaps["viridis"](1.0 - 0.62 * part))
+        line.set(lw=2.6 if part == 1 else 1.3, label=f"{part * limit:g} N, {part * limit / weight:.2g} Mg")
+    _angles(plane)
+    legend_above(plane, 3, "least force")
+    places = {track: min(track, _ENDLESS) for track in needed}
+    for lam, (colour, marker, line) in zip(LAMS[1:], palette(map(str, LAMS[1:])).values(), strict=True):
+        force = [needed[track][lam] for track in places]
+        tracks.plot(list(places.values()), force, color=colour, marker=marker, ls=line, label=f"λ = {lam:g}")
+    tracks.plot(min(own, _ENDLESS), limit / weight, "k*", ms=11, zorder=5, label="the rig")
+    log_axis(tracks, "x", list(places.values()))
+    tracks.set_xticks(list(places.values()), [f"{track:g}" if track < _ENDLESS else "∞" for track in places])
+    tracks.set(ylim=(0, None), xlabel="track, middle to end, by the length of both links")
+    tracks.set_ylabel(f"least force that saves {SAVED:.0%} of the starts (Mg)")
+    legend_above(tracks, 4)
+    return figure
+
+
+def _angles(axis: Axes) -> None:
+    axis.set(xlabel="θ1 (rad)", ylabel="θ2 (rad)", xlim=(-1.02, 1.02), ylim=(-1.02, 1.02), aspect="equal")
+
+
+def _least(at: Callable[[float], Boundary], lam: float, most: float) -> float:
+    """Return the force, N, under which a share of :data:`SAVED` is saved; NaN where the most there is does not."""
+
+    def more(force: float) -> float:
+        return at(force).share(lam).value - SAVED
+
+    return float(cast(float, brentq(more, 1e-3, most, xtol=1e-3))) if more(most) > 0 else math.nan
+
+
+def _checks(rows: pd.DataFrame, of: Boundary) -> list[dict[str, Value]]:
+    """Return in how many cases what the areas rest on holds."""
+    random, saves = rows.loc[rows["starts"] > 0], rows["saves"].to_numpy()
+    checks = {
+        f"replayed motions, of {_CLOSE:.0%} of the limit and more, that save their start": saves[saves != "-"] == "yes"
+    }
+    if len(random):
+        x = np.zeros((len(random), 6))
+        x[:, 1:3] = random[["th1", "th2"]]
+        inside, solved = of.savable(x), np.asarray(random["force"] <= random["limit"])
+        checks |= {
+            "random starts inside the boundary": inside,
+            "random starts that are solved within the limit": solved,
+            "random starts for which both agree": inside == solved,
+        }
+    return [{"": what, "number": int(np.sum(each)), "of": len(each)} for what, each in checks.items()]
 
 
 if __name__ == "__main__":

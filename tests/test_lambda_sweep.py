@@ -10,7 +10,8 @@ import pytest
 import dpend
 from controllers import LQR
 from rl import LinearQLearning
-from studies import _basins, _figures, lambda_sweep, recoverable
+from studies import _basins, _figures, lambda_sweep
+from studies._boundary import kept_boundary
 from studies._estimates import crossing, share
 from studies._field import RIG, find
 from studies._runner import Table, plain_fields, read_rows
@@ -30,7 +31,7 @@ def row(**changes):
     return {
         "contender": "Q tuned", "training": 0, "lam": 0.1, "episodes": 100, "successes": 90, "successes_report": 95,
         "outcome": "converged", "plant": "gustafsson2016", "sample_time": 0.02,
-        "training_episodes": 1, "training_steps": 2, "test_steps": 3,
+        "training_episodes": 1, "training_steps": 2, "test_steps": 3, "first": 0, "seed": 0,
     } | changes  # fmt: skip
 
 
@@ -168,13 +169,19 @@ def test_what_a_law_saves_beyond_the_tuned_linear_one_is_counted_on_the_starts_t
     assert {name: words[0].split()[0] for name, words in beyond.items()} == {"LQR": "-25.0", "iLQR MPC": "+50.0"}
 
 
-def test_the_best_known_is_the_share_of_the_shipped_table_within_the_spreads():
-    curve, (half, most) = lambda_sweep.best(table(row(lam=0.2), row(lam=0.4)))
-    assert list(curve) == [0.2, 0.3, 0.4]
-    assert curve[0.4] == share(recoverable.shipped()[0.4], 1000)
+def test_the_best_known_are_the_tables_own_starts_within_the_boundary_and_those_that_any_contender_saves():
+    inside = {}
+    for lam in (0.3, 0.4, 0.6):
+        starts = dpend.Balance(lam=lam).starts(np.random.default_rng([5, 1]), 300, RIG)
+        inside[lam] = kept_boundary().savable(starts)
+    made = table(*(row(lam=lam, seed=5, first=200) for lam in inside))
+    curve, (half, most) = lambda_sweep.best(made)
+    assert curve == {lam: share(each.sum(), 300) for lam, each in inside.items()}
+    assert 0.3 < most.low < most.value < most.high < 0.6
     assert half.value == math.inf
-    assert 0.3 < most.low < most.value < most.high < 0.4
-    assert lambda_sweep.best(table(row(lam=1.0)))[0] == {}
+    made = table(*(row(lam=lam, seed=5, first=200) for lam in inside), arrays={0: {"saved": np.ones((100, 3), bool)}})
+    expected = inside[0.6][:200].sum() + 100
+    assert lambda_sweep.best(made)[0][0.6] == share(expected, 300)
     assert lambda_sweep.best(table(row(lam=0.2, plant="pilco2011")))[0] == {}
 
 
@@ -200,12 +207,13 @@ def test_on_another_rig_it_is_evaluated_there_and_compared_with_nothing_of_the_d
 def test_the_tables_count_the_converged_and_mark_what_is_shipped():
     made = table(
         row(), row(training=1, outcome="diverged", successes=0), row(contender="PPO balance", outcome="shipped"),
-        arrays={2: {"saved": np.ones((100, 1))}},
+        arrays={2: {"saved": np.ones((100, 1), bool)}},
     )  # fmt: skip
     found = cells(lambda_sweep.report(made))
     assert list(found["Starts saved, %"]) == [
         "best known", "Q tuned (1 of 2 converged)", "PPO balance †", "the report's Table 2",
     ]  # fmt: skip
+    assert found["Of the starts that can be saved: saved, %"] == {"PPO balance": ["100.0"]}
     assert found["What learning cost, medians over trainings"] == {"Q tuned": ["1 of 2", "1", "2", "3"]}
     assert found["Starts saved by the trainings that converged, %"] == {"Q tuned": ["90.0"]}
 
@@ -229,18 +237,17 @@ def test_the_finding_is_what_the_kept_table_says():
 
 
 def test_a_basin_is_mirrored_for_a_law_that_is_odd_and_lies_within_what_can_be_saved():
-    angles, force = recoverable.shipped_map()
-    saved = _basins.basin(RIG, LQR(RIG), len(angles), 0)
+    saved = _basins.basin(RIG, LQR(RIG), 41, 0)
     assert (saved == saved[::-1, ::-1]).all()
-    assert saved[len(angles) // 2, len(angles) // 2]
-    assert (force[saved] <= recoverable.FORCE).all()
+    assert saved[20, 20]
+    assert kept_boundary().savable(_basins.starts(41))[saved.ravel()].all()
     assert 0.5 < _basins.part_saved(saved) < 1
 
 
 def test_the_part_saved_is_of_what_can_be_saved_alone():
-    force = recoverable.shipped_map()[1]
-    assert _basins.part_saved(force <= recoverable.FORCE) == 1
-    assert _basins.part_saved(~(force <= recoverable.FORCE)) == 0
+    can = kept_boundary().savable(_basins.starts(41)).reshape(41, 41)
+    assert _basins.part_saved(can) == 1
+    assert _basins.part_saved(~can) == 0
     assert _basins.part_saved(np.full((9, 9), 0.25)) == 0.25
 
 

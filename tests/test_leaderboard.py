@@ -11,9 +11,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import dpend
 from rl.deep import read_trainings
 from studies import _runner, leaderboard
 from studies._board import SAVED, UP, Place, Places, _place_in_words, board, ranked, values_of
+from studies._boundary import kept_boundary
 from studies._estimates import Estimate
 from studies._field import CONTENDERS, RIG, YOURS, TaskName, find
 from studies._runner import Table, kept_table, read_rows, where
@@ -52,7 +54,7 @@ def ranks(made, task):
 def lines(made):
     """Return what stands in the tables: by title and contender, the cells by heading; and the notes by title."""
     places: dict[TaskName, Places] = {"balance": found} if (found := ranked(made, "balance")) else {}
-    sheets, _ = board(made, places)
+    sheets, _ = board(made, places, {})
     return {
         sheet.title: {
             line[0].text: {column.heading: each for column, each in zip(sheet.columns, line, strict=True)}
@@ -208,6 +210,22 @@ def test_killed_in_the_middle_and_started_again_it_ends_with_the_same_table(tmp_
     subprocess.run(study(broken), cwd=ROOT, check=True, capture_output=True)
     assert {file: file.stat().st_mtime_ns for file in kept} == kept
     assert untimed(broken) == untimed(whole)
+
+
+def test_best_known_are_the_tables_own_starts_within_the_boundary_and_those_that_any_contender_saves():
+    made = balancing(a={0.4: [0] * 40, 0.6: [0] * 40}, b={0.4: [0] * 8, 0.6: [1] * 8})
+    known = leaderboard.best_known(Table(made.rows.assign(seed=3, first=0, runs=40), by_job=made.by_job))
+    for lam, some in ((0.4, 0), (0.6, 8)):
+        starts = dpend.Balance(lam=lam).starts(np.random.default_rng([3, leaderboard._STREAM]), 40, leaderboard.RIG)
+        inside = kept_boundary().savable(starts)
+        assert not inside.all()
+        assert known[lam].tolist() == (inside | (np.arange(40) < some)).tolist()
+    (sheet, *_), _ = board(made, {"balance": ranked(made, "balance")}, known)
+    column = [each.heading for each in sheet.columns].index("of savable, %")
+    expected = 100 * 8 / (known[0.4][:8].sum() + known[0.6][:8].sum())
+    assert {line[0].text: line[column].text for line in sheet.lines} == {
+        "a": "0.0", "b": f"{expected:.1f}", "best known": "–",
+    }  # fmt: skip
 
 
 def test_a_controller_of_ones_own_stands_at_its_place_in_every_part(tmp_path, capsys):

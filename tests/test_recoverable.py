@@ -1,22 +1,26 @@
-"""What can be saved at all: the least force, the set of the linear plant, and the table that is shipped."""
+"""What can be saved at all: the least force, the set of the linear plant, and the boundary that is shipped."""
 
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import dpend
-from controllers import LQR, NoTrajectory, Zero
+from controllers import ILQRMPC, LQR, NoTrajectory
 from controllers.least_force import LeastForce
-from studies import _figures, _rescue, recoverable
+from rl import load_policy
+from studies import _figures, recoverable
+from studies._boundary import OWN, Boundary, boundary, boundary_by_force, kept_boundary
 from studies._closure import kept_table
-from studies._null_controllable import null_controllable
+from studies._null_controllable import farthest_on_track, null_controllable
 from studies._runner import Table
 from studies._table import read_rows, where
 from tests.rigs import endless, whole
 
 RIG = dpend.rig("gustafsson2016")
 SET = null_controllable(RIG.params, 40.0)
+TASK = dpend.Balance()
 
 
 def at_rest(*angles):
@@ -43,10 +47,6 @@ def test_the_share_is_one_on_the_boundary_half_halfway_and_the_same_mirrored():
     x = np.linalg.pinv(SET.W) @ SET.boundary[::37].T
     assert SET.share(x.T) == pytest.approx(1.0, rel=1e-3)
     assert SET.share(-0.5 * x.T) == pytest.approx(0.5, rel=1e-3)
-    cut = SET.at_rest()
-    rest = np.zeros((len(cut), 6))
-    rest[:, 1:3] = cut
-    assert SET.share(rest) == pytest.approx(1.0, rel=1e-3)
 
 
 def test_held_forces_reach_every_vertex_by_one_switch_and_nothing_passes_them():
@@ -74,6 +74,21 @@ def test_the_set_contains_every_state_that_saturated_lqr_saves_in_the_linear_pla
     assert 400 < saved.sum() < 3600
     assert share[saved].max() < 1.0
     assert share[saved].max() > 0.8  # and it is not much too large
+
+
+def test_on_an_endless_track_the_linear_plant_comes_to_rest_from_all_of_the_set_and_from_nowhere_else():
+    for start in (at_rest(1.0, 0.0), at_rest(-0.6, 0.8), at_rest(0.0, 1.0)):
+        radius = farthest_on_track(RIG, start, force=40.0, track=math.inf)
+        assert radius * SET.share(start)[0] == pytest.approx(1.0, rel=5e-3)
+        assert radius * SET.share(start)[0] < 1.0001
+
+
+def test_a_track_shrinks_the_linear_plants_set_and_twice_the_force_on_twice_the_track_doubles_it():
+    start = at_rest(0.0, 1.0)
+    own = farthest_on_track(RIG, start, force=40.0, track=2.4)
+    assert own < 0.7 / SET.share(start)[0]
+    assert farthest_on_track(RIG, start, force=80.0, track=4.8) == pytest.approx(2 * own, rel=1e-6)
+    assert farthest_on_track(RIG, start, force=80.0, track=2.4) < 1.7 * own
 
 
 # ------------------------------------------------------------------------------------------------------ the least force
@@ -106,6 +121,17 @@ def test_a_mirrored_start_asks_for_the_same_force(search):
     assert search(-at_rest(0.2, -0.3)).about["force"] == pytest.approx(
         search(at_rest(0.2, -0.3)).about["force"], abs=0.01
     )
+
+
+def test_the_motion_from_one_start_is_a_guess_for_another_in_its_direction(search):
+    near = search(at_rest(0.18, -0.16))
+    for share in (0.8, 1.0, 1.3):
+        start = share * near.x[0]
+        again = search(start, guess=near)
+        assert again.x[0] == pytest.approx(start)
+        assert again.about["force"] == pytest.approx(search(start).about["force"], abs=2e-3)
+    with pytest.raises(ValueError, match=whole("guess must have 25 samples; got 100.")):
+        LeastForce(RIG, horizon=0.5)(at_rest(0.1, 0.0), guess=near)
 
 
 @pytest.mark.slow
@@ -141,71 +167,127 @@ def test_bad_settings_are_refused_before_anything_is_built(wrong, message):
         LeastForce(RIG, **wrong)
 
 
+@pytest.mark.slow
+def test_a_longer_horizon_asks_for_the_same_force_on_the_track():
+    start = at_rest(-0.27, 0.27)
+    three, four = (LeastForce(RIG, horizon=horizon)(start).about["force"] for horizon in (3.0, 4.0))
+    assert three == pytest.approx(four, abs=0.01)
+
+
+# --------------------------------------------------------------------------------------------------------- the boundary
+
+
+def disc(radius, rays=24):
+    each = np.full(rays, radius)
+    return Boundary(np.arange(rays) * 360.0 / rays, 0.99 * each, 1.01 * each)
+
+
+def test_a_share_is_the_area_within_the_square_and_its_interval_is_that_between_both_sides_of_the_boundary():
+    assert disc(0.5).share(0.3) == (1.0, 1.0, 1.0)
+    value, low, high = disc(0.5).share(0.8)
+    assert value == pytest.approx(math.pi * 0.5**2 / 1.6**2, rel=1e-6)
+    assert (low, high) == pytest.approx((0.99**2 * value, 1.01**2 * value))
+    assert disc(0.5).lam(value) == pytest.approx(0.8)
+    wavy = disc(0.5)._replace(low=0.5 + 0.1 * (np.arange(24) % 2), high=0.5 + 0.1 * (np.arange(24) % 2))
+    few = wavy.share(0.8)
+    assert few.low < few.value - 0.03 < few.value + 0.03 < few.high  # every other ray tells another story
+
+
+def test_savable_is_what_lies_nearer_than_the_boundary_all_round():
+    angles = np.random.default_rng(0).uniform(-math.pi, math.pi, 200)
+    x = np.zeros((200, 6))
+    x[:, 1:3] = np.column_stack([np.cos(angles), np.sin(angles)])
+    kept = kept_boundary()
+    radius = kept.radius(angles)[:, None]
+    assert kept.savable(0.999 * radius * x).all()
+    assert not kept.savable(1.001 * radius * x).any()
+    assert kept.radius(angles + math.pi) == pytest.approx(kept.radius(angles))  # mirror images
+    assert np.hypot(*kept.ring().T).max() == pytest.approx(np.max(0.5 * (kept.low + kept.high)), rel=1e-3)
+
+
+def test_a_boundary_lies_before_the_first_start_of_a_ray_that_asks_for_more_than_there_is():
+    rows = pd.DataFrame({"th1": [0.1, 0.3, 0.4, 0.2, 0.0, 0.0], "th2": [0.0, 0.0, 0.0, 0.0, 0.3, 0.2], "limit": 40.0,
+                         "force": [10.0, 41.0, 39.0, 20.0, 30.0, 15.0], "degrees": 4 * [0.0] + 2 * [90.0]})  # fmt: skip
+    found = boundary(rows)
+    assert found.degrees.tolist() == [0, 90, 180, 270]
+    assert found.low.tolist() == 2 * [0.2, 0.3]
+    assert found.high.tolist() == 2 * [0.3, 0.3]
+    at = boundary_by_force(rows)
+    assert at(20.0).low == pytest.approx([0.2, at(20.0).low[1]] * 2)
+    assert at(15.0).high[[1, 3]] == pytest.approx(0.2)
+    assert at(1e6).low == pytest.approx(2 * [0.3, 0.3])
+
+
 # ------------------------------------------------------------------------------------------------------------ the study
 
 
-def test_the_forces_of_a_plan_save_the_start_in_the_simulator_and_the_mirrored_ones_do_not(search):
-    start, task = at_rest(0.275, -0.223), dpend.Balance()
-    plan = search(start)
-    assert plan.about["force"] < 40.0
-    assert not dpend.simulate_many(RIG, LQR(RIG), start[None], task=task).success[0]
-    assert _rescue.holds(plan, start, task)
-    assert not _rescue.holds(plan, -start, task)
-    replay = _rescue.Replay(plan.u[None], LQR(RIG))
-    runs = dpend.simulate_many(RIG, replay, start[None], task=task, record=True)
-    assert runs.u[0, : len(plan.u)] == pytest.approx(plan.u)
-    assert runs.x is not None
-    assert np.abs(runs.x[0, :51] - plan.x[:51]).max() < 1e-3
+@pytest.mark.slow
+def test_a_ray_is_solved_until_the_boundary_is_known_and_what_is_found_holds_in_the_simulator():
+    job = next(job for job in recoverable.jobs(recoverable.Options()) if job.degrees == 135)
+    rows = pd.DataFrame(recoverable.run(job).rows)
+    radius = np.hypot(rows["th1"], rows["th2"])
+    assert np.all(np.diff(radius) > 0)
+    assert np.all(np.diff(rows["force"]) > 0)
+    assert set(rows.loc[(rows["force"] > 38) & (rows["force"] <= 40), "saves"]) == {"yes"}
+    last = int(np.sum(rows["force"] <= 40))
+    assert radius[last] - radius[last - 1] < 5e-4 * radius[last]
+    assert rows["force"].iloc[-1] > 0.99 * 60
+    assert kept_boundary().radius(math.radians(135)) == pytest.approx(radius[last], rel=1e-3)
 
 
 @pytest.mark.slow
-def test_every_start_that_any_controller_saves_counts_as_recoverable():
-    options = recoverable.Options(lam=(0.4,), starts=8, planned=2, planned_lam=(0.4,), grid=0)
-    (job,) = recoverable.jobs(options)
-    rows = recoverable.run(job).rows
-    task = dpend.Balance(lam=0.4)
-    x0 = task.starts(np.random.default_rng([0, 1]), 8, RIG)
-    can = np.array([row["recoverable"] for row in rows])
-    for law in _rescue.LAWS.values():
-        assert (can | ~dpend.simulate_many(RIG, law(), x0, task=task).success).all()
-    assert all(row["recoverable"] for row in rows if row["mpc"] == "yes" or row["lqr"] or row["stiff_sign"])
-    assert all(row["mpc"] != "-" for row in rows[:2])
-    assert all(row["report"] for row in rows if row["recoverable"])
-    assert [row["recoverable"] for row in rows] == [row["by"] != _rescue.NONE for row in rows]
-    assert all(row["least_force"] > 0.99 * 40 for row in rows if not row["recoverable"])
-    assert {row["by"] for row in rows} > {"LQR", _rescue.OPTIMAL, _rescue.NONE}
+def test_starts_solved_one_by_one_lie_on_the_side_of_the_boundary_that_they_should():
+    rng = np.random.default_rng(11)
+    search = LeastForce(RIG, horizon=3.0, angle_limits=2 * [math.pi / 2 - OWN], track_margin=OWN)
+    for angle in rng.uniform(-math.pi, math.pi, 12):
+        start = kept_boundary().radius(angle) * at_rest(math.cos(angle), math.sin(angle))
+        assert search(0.99 * start).about["force"] < 40.0 < search(1.01 * start).about["force"]
 
 
-def test_a_controller_of_yours_is_tried_on_what_nothing_else_saves_and_its_success_counts(tmp_path, monkeypatch):
-    (tmp_path / "mine.py").write_text("from controllers import LQR\ndef mine(rig):\n    return LQR(rig)\n")
-    options = recoverable.Options(lam=(0.1,), starts=3, grid=0, controller=(f"{tmp_path / 'mine.py'}:mine",))
-    (job,) = recoverable.jobs(options)
-    assert {row["by"] for row in recoverable.run(job).rows} == {"LQR"}
-    monkeypatch.setattr(_rescue, "LAWS", dict.fromkeys(("LQR", "sign of stiff LQR"), Zero))
-    monkeypatch.setattr(_rescue, "ILQRMPC", lambda rig, **settings: Zero())
-    monkeypatch.setattr(_rescue, "optimal", lambda *_: (math.nan, False))
-    rows = recoverable.run(job).rows
-    assert {row["by"] for row in rows} == {"mine"}
-    assert all(row["recoverable"] and not row["lqr"] and row["mpc"] == "no" for row in rows)
-    assert recoverable.jobs(recoverable.Options(lam=(0.1,), starts=3, grid=0)) != [job]
+@pytest.mark.parametrize(
+    "make", [LQR, lambda rig: LQR(rig, (1, 10, 10, 1, 1, 1), 0.1), lambda rig: load_policy("lspi")]
+)
+def test_every_start_that_a_controller_saves_lies_inside(make):
+    starts = dpend.Balance(lam=0.7).starts(np.random.default_rng(12), 2000, RIG)
+    saved = dpend.simulate_many(RIG, make(RIG), starts, task=TASK).success
+    assert saved.sum() > 400
+    assert kept_boundary().savable(starts)[saved].all()
 
 
-def test_one_half_of_the_map_and_its_mirror_image_are_the_whole_map():
-    half = recoverable.map_starts(9, 0.8)[:, 1:3]
-    whole_map = {tuple(np.round(sign * point, 9) + 0.0) for point in half for sign in (1, -1)}
-    assert len(whole_map) == 81
-    assert len(half) == 41
+@pytest.mark.slow
+def test_every_start_that_a_planner_saves_lies_inside():
+    starts = dpend.Balance(lam=0.6).starts(np.random.default_rng(13), 24, RIG)
+    saved = dpend.simulate_many(RIG, ILQRMPC(RIG, upright_only=True), starts, task=TASK).success
+    inside = kept_boundary().savable(starts)
+    assert inside[saved].all()
+    assert saved.sum() >= 0.9 * inside.sum()
+
+
+def test_jobs_are_rays_of_half_a_turn_and_parts_of_the_random_starts():
+    jobs = recoverable.jobs(recoverable.Options(rays=24, tracks=(0.5, 1.2), check=60))
+    rays = {}
+    for job in jobs:
+        if not job.starts:
+            rays.setdefault((job.model, job.track, job.margin), []).append(job.degrees)
+    assert next(iter(rays)) == ("nonlinear", 2.4, OWN)  # the table's first rows are of the rig's own track
+    assert rays["nonlinear", 2.4, OWN] == [15.0 * k for k in range(12)]
+    assert rays["linear", math.inf, 0.0] == [30.0 * k for k in range(6)]
+    assert rays["nonlinear", 1.0, OWN] == [0.0, 90.0]
+    assert len(rays) == 6
+    assert [(job.first, job.starts) for job in jobs if job.starts] == [(0, 50), (50, 10)]
 
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"lam": ()}, "--lam needs at least one angle."),
-        ({"only": ("LQR",)}, "--only leaves out no contender here: every start is tried by all that may save it."),
-        ({"lam": (0.1, 0.1)}, "--lam names an angle twice; got (0.1, 0.1)."),
-        ({"starts": 0}, "--starts must be at least 1; got 0."),
-        ({"grid": -1}, "--grid must be at least 0; got -1."),
-        ({"extent": 2.0}, "--extent must be between 0 and pi/2 rad; got 2.0."),
+        ({"rays": 20}, "--rays must be a multiple of 12; got 20."),
+        ({"rays": 0}, "--rays must be a multiple of 12; got 0."),
+        ({"check": -1}, "--check must be at least 0; got -1."),
+        ({"tracks": (0.5, 0.0)}, "--tracks must be greater than 0; got (0.5, 0.0)."),
+        (
+            {"rig": "bogdanov2004"},
+            "On bogdanov2004 every start can be saved: it has no force limit; --set force_limit=40.",
+        ),
     ],
 )
 def test_bad_options_are_refused(wrong, message):
@@ -213,45 +295,24 @@ def test_bad_options_are_refused(wrong, message):
         recoverable.Options(**wrong)
 
 
-def test_the_shipped_table_is_of_the_starts_that_all_studies_draw():
-    every = read_rows(kept_table("recoverable"))
-    rows = where(every, lam=0.4)
-    starts = dpend.Balance(lam=0.4).starts(np.random.default_rng([0, 1]), len(rows), RIG)
-    assert rows[["th1", "th2"]].to_numpy() == pytest.approx(starts[:, 1:3], abs=1e-5)
-    assert rows["index"].tolist() == list(range(len(rows)))
-    shipped = recoverable.shipped()
-    assert shipped[0.4].tolist() == rows["recoverable"].tolist()
-    for saved in (dpend.simulate_many(RIG, law(), starts[:200], task=dpend.Balance()) for law in _rescue.LAWS.values()):
-        assert (shipped[0.4][:200] | ~saved.success).all()
-    assert {lam: len(known) for lam, known in shipped.items()}.items() >= {0.1: 1000, 0.2: 1000, 0.3: 1000}.items()
+def test_the_kept_table_agrees_with_its_random_starts_and_its_motions_hold():
+    rows = where(read_rows(kept_table("recoverable")), model="nonlinear")
+    random = rows[rows["starts"] > 0]
+    solved = np.asarray(random["force"] <= 40)
+    starts = np.zeros((len(random), 6))
+    starts[:, 1:3] = random[["th1", "th2"]]
+    assert len(random) >= 100
+    assert np.mean(kept_boundary().savable(starts) == solved) >= 0.99
+    assert set(rows["saves"]) == {"yes", "-"}
 
 
-def test_jobs_cover_every_start_once():
-    jobs = recoverable.jobs(recoverable.Options(lam=(0.3,), starts=60, planned=52, grid=0))
-    assert [(job.lam, job.first, job.starts, job.planned) for job in jobs] == [(0.3, 0, 50, 52), (0.3, 50, 10, 2)]
-    on_map = [job for job in recoverable.jobs(recoverable.Options(grid=11)) if job.lam is None]
-    assert [(job.first, job.starts) for job in on_map] == [(0, 50), (50, 11)]
-
-
-def test_the_report_is_what_the_kept_table_says_with_its_own_numbers_of_starts():
+def test_the_report_is_what_the_kept_table_says():
     with _figures.look():
         reported = recoverable.report(Table(read_rows(kept_table("recoverable"))))
-    shares, ways, first = ({line[0].text: line for line in sheet.lines} for sheet in reported.tables)
-    assert [cell.text for cell in shares["recoverable"][1:]] == [
-        "100.0", "100.0", "100.0", "98.7", "86.5", "73.8", "60.1",
-    ]  # fmt: skip
-    assert {cell.text for cell in shares["starts"][1:]} == {"1,000"}
-    assert sum(int(line[4].text) for line in ways.values()) == 1000
-    assert [first[lam][5].text for lam in ("0.3", "0.4")] == ["99.5", "97.6"]
+    shares, radii, *_ = ({line[0].text: line for line in sheet.lines} for sheet in reported.tables)
+    assert shares["recoverable"][5].text == f"{100 * kept_boundary().share(0.4).value:.2f}"
+    without, linear = (float(shares[name][7].text) for name in ("without a track", "linear plant, without a track"))
+    assert float(shares["recoverable"][7].text) < without < linear
+    assert float(radii["90"][1].text) == pytest.approx(kept_boundary().radius(math.pi / 2), abs=1e-4)
     assert isinstance(reported.figures, dict)
     assert list(reported.figures) == ["", "_map"]
-
-
-def test_the_map_is_mirrored_about_its_middle():
-    angles, force = recoverable.shipped_map()
-    assert len(angles) == len(force) == 41
-    assert angles[20] == 0
-    np.testing.assert_array_equal(force, force[::-1, ::-1])
-    rows = recoverable.shipped_rows()
-    row = rows[rows["lam"].isna()].iloc[500]
-    assert force[np.argmin(abs(angles - row["th2"])), np.argmin(abs(angles - row["th1"]))] == row["least_force"]

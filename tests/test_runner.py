@@ -437,7 +437,7 @@ def test_a_name_of_a_package_that_loads_late_counts_as_the_module_that_defines_i
 
 def test_a_table_that_a_job_reads_counts_by_its_content(copied, edit):
     def parts():
-        return closure("studies.recoverable", ("shipped",), root=copied)[0]
+        return closure("studies._boundary", ("kept_boundary",), root=copied)[0]
 
     before = parts()
     edit("docs/results/recoverable/rows.csv", None, b"new")
