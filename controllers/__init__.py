@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .data import shipped
     from .energy import EnergyPump, EnergySwingUp
     from .estimators import EKF, UKF, Differences, Predictor, WithEstimator
-    from .ilqr import ILQRMPC, ilqr
+    from .ilqr import ILQRMPC, Model, ilqr
     from .lqr import LQR, BangBang, LinearLaw, Margins
     from .nmpc import NMPC
     from .sdre import SDRE
@@ -46,6 +46,7 @@ __all__ = [
     "LinearLaw",
     "LowPass",
     "Margins",
+    "Model",
     "NearEnergy",
     "NoTrajectory",
     "Predictor",
@@ -72,7 +73,7 @@ _MODULES = {
         "data": ("shipped",),
         "energy": ("EnergyPump", "EnergySwingUp"),
         "estimators": ("EKF", "UKF", "Differences", "Predictor", "WithEstimator"),
-        "ilqr": ("ILQRMPC", "ilqr"),
+        "ilqr": ("ILQRMPC", "Model", "ilqr"),
         "lqr": ("LQR", "BangBang", "LinearLaw", "Margins"),
         "nmpc": ("NMPC",),
         "sdre": ("SDRE",),

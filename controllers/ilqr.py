@@ -21,8 +21,10 @@ from __future__ import annotations
 
 import math
 from collections import ChainMap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,7 +36,7 @@ from dpend.params import Array
 from dpend.rig import Rig, single_rig
 from dpend.state import as_equilibrium, as_states, one_state
 
-from .ilqr_kernels import NO_GAPS, Problem, improve, nearest_target, rollout
+from .ilqr_kernels import NO_GAPS, PLANT, Flow, Loops, Problem, make_loops, nearest_target
 from .lqr import LQR
 from .trajectory import Trajectory
 from .wrapping import watch
@@ -45,6 +47,8 @@ _TRIALS = 8  # lengths of step tried in an iteration
 _CHEAPER = 0.95  # share of the cost of the plan in use below which another takes over
 _PATIENCE = 15  # samples for which a challenger is worked on
 _HORIZON, _HORIZON_UPRIGHT = 6.26, 2.5  # in units of sqrt(L / g)
+_GRAVITY = 9.81
+_PACE, _MASS = 0.62, 1.75  # links of 1 m on a cart: their growth in units of sqrt(L / g), and mass times mobility
 _MOST_STEPS = 1000  # samples in a horizon; more is a mistake of units
 
 
@@ -63,11 +67,50 @@ class Step(IntEnum):
     """Another plan, kept beside the one in use, turned out to cost less and took its place."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Model:
+    r"""A plant of one's own, :math:`x_{k+1} = \mathrm{step}(x_k, u_k, \mathrm{parameters})`, to plan on.
+
+    Parameters
+    ----------
+    step : callable
+        ``step(x, u, parameters)``: the six numbers of the next state, given a tuple of six and a force in N; in the
+        Python that numba compiles, or compiled by it.
+    parameters : tuple
+        What ``step`` gets besides: numbers, arrays and tuples of them.  Models that differ in these alone share their
+        machine code.
+    linearize : callable, optional
+        ``linearize(x, u, parameters, D)`` fills D (N, 6, 8) along states (N + 1, 6) and forces (N,): the slopes of each
+        sample by the state, then by the force, and the gap ``step(x[k], u[k]) - x[k + 1]``.  Left out, central
+        differences.
+    sources : tuple of Path
+        Files, or folders of them, that both are made of: then the machine code is kept on disk until one changes.
+        Left out, it is compiled anew in each process.
+    """
+
+    step: Callable[..., Any]
+    parameters: tuple[Any, ...] = ()
+    linearize: Callable[..., Any] | None = None
+    sources: tuple[Path, ...] = ()
+
+    @property
+    def loops(self) -> Loops:
+        """The compiled loops that follow it, made once for each ``step``."""
+        return make_loops(self.step, self.linearize, self.sources)
+
+    def slopes(self, x: npt.ArrayLike, u: float = 0.0) -> tuple[Array, Array]:
+        r"""Return :math:`A = \partial\,\mathrm{step}/\partial x` (6, 6) and :math:`B` (6, 1) at a state and a force."""
+        states, D = np.tile(one_state("x", x), (2, 1)), np.empty((1, 6, 8))
+        self.loops.linearize(states, np.array([float(u)]), self.parameters, D)
+        return D[0, :, :6].copy(), D[0, :, 6:7].copy()
+
+
 def ilqr(
     rig: Rig | str,
     x0: npt.ArrayLike,
     target: str | npt.ArrayLike = "up-up",
     *,
+    model: Model | None = None,
     horizon: float | None = None,
     u_guess: npt.ArrayLike | None = None,
     x_guess: npt.ArrayLike | None = None,
@@ -93,6 +136,9 @@ def ilqr(
     target : str or array_like (6,)
         The name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere on the track; any whole turn of
         it will do.
+    model : Model, optional
+        What moves in place of the rig's plant, of which clock and limits remain.  What is left out below then follows
+        from its linearisation at the target: a length and a mass whose plant would be as fast and as heavy.
     horizon : float, optional
         Length of the plan, s, rounded to :math:`N` samples, from 2 to 1000; left out, :math:`6.26\sqrt{L/g}`, and
         :math:`2.5\sqrt{L/g}` with ``upright_only``, where :math:`L` is the mean length of the links: 2 s and 0.8 s for
@@ -127,7 +173,7 @@ def ilqr(
     ValueError
         If an argument is out of range or has the wrong shape, or the rig describes several plants.
     """
-    planner = _Planner(rig, target, horizon, Q, R, upright_only)
+    planner = _Planner(rig, target, horizon, Q, R, upright_only, model)
     start = one_state("x0", x0)
     seed = checked_seed("seed", seed)
     starts, iterations = checked_whole("starts", starts, 0), checked_whole("iterations", iterations, 0)
@@ -177,7 +223,7 @@ class ILQRMPC:
     target : str or array_like (6,)
         The name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere on the track.  The nearest whole
         turn counts, wherever the plan is.
-    horizon, Q, R
+    model, horizon, Q, R
         See :func:`ilqr`.
     iterations : int
         Most iterations a sample for a plan; with none, the first plan is followed by its gains and the regulator's.
@@ -191,8 +237,12 @@ class ILQRMPC:
 
     Attributes
     ----------
-    lqr : LQR
-        The regulator at the target, whose ``P`` weighs the end of the plan.
+    K : ndarray (1, 6)
+        Gain of the regulator at the target, N per unit of each state.
+    P : ndarray (6, 6)
+        Weight of the end of the plan, of the same regulator.
+    lqr : LQR or None
+        The regulator itself; none with a model, whose gain and weight are those of a long horizon.
     horizon : float
         Length of the plan, s: a whole number of samples.
     horizon_steps : int
@@ -219,6 +269,7 @@ class ILQRMPC:
         rig: Rig | str,
         *,
         target: str | npt.ArrayLike = "up-up",
+        model: Model | None = None,
         horizon: float | None = None,
         Q: Sequence[float] | None = None,
         R: float | None = None,
@@ -227,9 +278,9 @@ class ILQRMPC:
         explore: bool = True,
         upright_only: bool = False,
     ) -> None:
-        self._planner = _Planner(rig, target, horizon, Q, R, upright_only)
+        self._planner = _Planner(rig, target, horizon, Q, R, upright_only, model)
         self.rig = self._planner.rig
-        self.lqr = self._planner.lqr
+        self.lqr, self.K, self.P = self._planner.lqr, self._planner.K, self._planner.P
         self.horizon_steps = self._planner.N
         self.horizon = self.horizon_steps * self.rig.sample_time
         self.iterations, self.starts = checked_whole("iterations", iterations, 0), checked_whole("starts", starts, 0)
@@ -268,11 +319,20 @@ class _Planner:
         Q: Sequence[float] | None,
         R: float | None,
         upright_only: bool,
+        model: Model | None = None,
     ) -> None:
         rig = single_rig(rig, "iLQR")
-        params = rig.params
-        g, L = float(params.gravity), float(params.length1 + params.length2) / 2
-        mass = float(params.coefficients().d1)
+        self.target = as_equilibrium(target)
+        params, here = rig.params, None
+        if model is None:
+            g, L = float(params.gravity), float(params.length1 + params.length2) / 2
+            mass, loops = float(params.coefficients().d1), PLANT
+            c = params.coefficients()
+            self.parameters: Any = Flow(c._make(map(float, c)), rig.sample_time / rig.substeps, rig.substeps)
+        else:
+            here, loops, self.parameters = model.slopes(self.target), model.loops, model.parameters
+            g, L, mass = _scales(*here, rig.sample_time)
+        self._rollout, self._improve = loops.rollout, loops.improve
         if g == 0 and (horizon is None or Q is None or R is None):
             raise ValueError("Without gravity there is no scale of time and force: give horizon, Q and R.")
         # Of (10, 50, 50, 1, 1, 1) and 0.1 for links of 1 m and a plant of 2 kg, by dimensional analysis.
@@ -289,9 +349,8 @@ class _Planner:
         else:
             self.N = _steps(horizon, rig.sample_time)
         self.upright_only = bool(upright_only)
-        self.target = as_equilibrium(target)
-        self.lqr = LQR(rig, self.Q, self.R, target=self.target)
-        self.P = np.array(self.lqr.P)
+        self.lqr: Any = LQR(rig, self.Q, self.R, target=self.target) if here is None else None
+        self.K, self.P = regulator(*here, self.Q, self.R) if here else (self.lqr.K, np.array(self.lqr.P))
         soft_track = float(rig.track_limit) * (1 - 1 / 16)  # 0.15 m of 2.4 m
         if not abs(self.target[0]) < soft_track:
             raise ValueError(
@@ -299,9 +358,6 @@ class _Planner:
                 f"got {self.target[0]:g} m."
             )
         self.problem = Problem(
-            coefficients=tuple(float(c) for c in params.coefficients()),
-            h=rig.sample_time / rig.substeps,
-            substeps=rig.substeps,
             force_limit=float(rig.force_limit),
             target=tuple(self.target.tolist()),
             turn=0.0 if upright_only else 2 * math.pi,
@@ -343,20 +399,20 @@ class _Planner:
         """Return the motion from a state under forces and gains."""
         new = _Plan(np.empty_like(x), np.empty_like(u), np.zeros_like(K), 0.0, 0, 0, False)
         none = np.zeros_like(u)
-        cost = rollout(x0, x, u, K, none, NO_GAPS, 1.0, problem, self.P, new.x, new.u)
+        cost = self._rollout(x0, x, u, K, none, NO_GAPS, 1.0, problem, self.parameters, self.P, new.x, new.u)
         return new._replace(cost=cost)
 
     def improved(self, problem: Problem, plan: _Plan, iterations: int, tolerance: float) -> _Plan:
         """Improve a plan in place; return it with its new figures."""
-        converged, tried, accepted, cost = improve(
-            plan.x, plan.u, plan.K, problem, self.P, iterations, tolerance, _TRIALS
+        converged, tried, accepted, cost = self._improve(
+            plan.x, plan.u, plan.K, problem, self.parameters, self.P, iterations, tolerance, _TRIALS
         )
         return plan._replace(cost=cost, iterations=tried, accepted=accepted, converged=converged)
 
     def regulated(self, problem: Problem, x0: Array) -> _Plan:
         """Return the motion under the saturated regulator."""
         near = np.array(nearest_target(tuple(x0), problem))
-        gains = np.tile(-self.lqr.K, (self.N, 1))
+        gains = np.tile(-self.K, (self.N, 1))
         states = np.tile(near, (self.N + 1, 1))
         return self.followed(problem, x0, states, np.zeros(self.N), gains)._replace(K=gains)
 
@@ -466,7 +522,7 @@ class _Horizon:
         A plan that cannot be followed is abandoned for no force at all.
         """
         planner = self._planner
-        end, gain = plan.x[-1], planner.lqr.K[0]
+        end, gain = plan.x[-1], planner.K[0]
         last = -float(gain @ (end - np.array(nearest_target(end.tolist(), problem))))
         states = np.concatenate((plan.x[1:], plan.x[-1:]))
         forces = np.append(plan.u[1:], min(max(last, -problem.force_limit), problem.force_limit))
@@ -501,6 +557,35 @@ class _Horizon:
             self._plan = challenger
         self._challenger = None if better or self._age >= _PATIENCE or challenger.converged else challenger
         return better
+
+
+def _scales(A: Array, B: Array, sample_time: float) -> tuple[float, float, float]:
+    """Return gravity, and the length and mass of the plant with rods whose linearisation is as fast and as heavy.
+
+    Far from any such plant, as a model fitted to little may be, they are those of the nearest between .1 and 4 m.
+    """
+    paces = np.sort(np.abs(np.log(np.linalg.eigvals(A).astype(complex) + 1e-12)))[-4:] / sample_time
+    length = _GRAVITY / (_PACE * np.exp(np.log(paces).mean())) ** 2
+    return _GRAVITY, float(np.clip(length, 0.1, 4.0)), _MASS * sample_time / max(abs(float(B[3, 0])), 1e-6)
+
+
+def regulator(A: Array, B: Array, Q: Array, R: float) -> tuple[Array, Array]:
+    r"""Return the gain and the weight after :math:`2^{10}` Riccati steps from :math:`P = Q`, by doubling.
+
+    With weights :math:`Q` on the diagonal.  Where the equation has a stabilizing solution this is it, to rounding;
+    elsewhere, as for a model that was fitted to little, the steps stop short of overflow.
+
+    Source: B. Anderson, *Second-order convergent algorithms for the steady-state Riccati equation*, 1978.
+    """
+    F, G, P, eye = A, B @ B.T / R, np.diag(Q).astype(np.float64), np.eye(len(A))
+    for _ in range(10):
+        W = np.linalg.inv(eye + G @ P)
+        new = F @ W @ F, G + F @ W @ G @ F.T, P + F.T @ P @ W @ F
+        if not all(np.abs(each).max() < 1e12 for each in new):
+            break
+        F, G, P = new
+        P = (P + P.T) / 2
+    return np.asarray(np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A), dtype=np.float64), P
 
 
 def _steps(horizon: float, sample_time: float) -> int:

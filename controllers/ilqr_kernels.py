@@ -1,32 +1,35 @@
 """The compiled loops of iLQR: a plan's cost, its derivatives, the backward pass and the rollout, and what repeats them.
 
-Gradients and Hessians are halved throughout: the cost is a sum of squares, and the factors of two cancel.
+Those that follow a plant are built for one by :func:`make_loops`, from ``step(x, u, parameters)``, a sample, and
+``linearize(x, u, parameters, D)``, its slopes along a plan; the others know no plant.  Gradients and Hessians are
+halved throughout: the cost is a sum of squares, and the factors of two cancel.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 
-from dpend.kernels import acceleration_slopes, axpy, compiled, cos, inline, rates, sample, sin
-from dpend.params import Coefficients
+from dpend.kernels import OPTIONS, acceleration_slopes, axpy, compiled, cos, inline, make_sample, rates, sin
 
 from .residuals import make_residuals
 
 _TURN = 2 * math.pi
 _residuals = inline(make_residuals(sin))
+_DIFFERENCE = 1e-5  # of metres, radians, their rates and newtons
 _BLOCK = 32  # samples linearized side by side, so that LLVM turns the loop over them into vector instructions
 NO_GAPS = np.empty((0, 6, 8))  # what a rollout over the full length takes for D, and does not read
 
 
 class Problem(NamedTuple):
-    """Plant, target and weights, as the compiled code takes them."""
+    """Target, limits and weights, as the compiled code takes them."""
 
-    coefficients: tuple[float, ...]
-    h: float
-    substeps: int
     force_limit: float
     target: tuple[float, ...]
     turn: float
@@ -40,6 +43,22 @@ class Problem(NamedTuple):
     hard_weight: float
     soft_angle: float
     angle_weight: float
+
+
+class Flow(NamedTuple):
+    """Parameters of a plant in continuous time, and the Runge-Kutta steps of a sample."""
+
+    field: Any
+    h: float
+    substeps: int
+
+
+class Loops(NamedTuple):
+    """The compiled loops that follow one plant."""
+
+    linearize: Any
+    rollout: Any
+    improve: Any
 
 
 @inline
@@ -193,62 +212,107 @@ def _along(J, s, b, j, z, push):
     )
 
 
-@compiled
-def linearize(x, u, p, D):
-    """Fill D (N, 6, 8): seven columns of slopes of the sample by (x, u), and the gap from the next state.
+def make_flow(rates: Any, field: Any) -> tuple[Any, Any]:
+    """Build a sample and its slopes of a plant in continuous time, with parameters that are a :class:`Flow`.
 
-    The derivative of a Runge-Kutta step is the same Runge-Kutta step of the linearized plant, with the slopes of its
-    four stages.  So these are visited once, their slopes kept, and six deviations led through them; the seventh, of the
-    position, stays what it is, as nothing depends on where the cart stands.
+    ``rates(x, f, c)`` are six time derivatives, ``f`` three generalised forces; ``field(x, f, c)`` returns them with
+    the slopes of the accelerations, as :func:`dpend.equations.make_acceleration_slopes` states them.
     """
-    c = Coefficients(*p.coefficients)
-    h = p.h
-    N = len(u)
-    now = np.empty((6, _BLOCK))
-    Z = np.empty((6, 6, _BLOCK))  # deviation (five states, then the force), state, sample
-    J = np.empty((4, 18, _BLOCK))  # stage, slope of an acceleration, sample: the sample last, for vector instructions
-    for start in range(0, N, _BLOCK):
-        m = min(_BLOCK, N - start)
-        for j in range(m):
-            for i in range(6):
-                now[i, j] = x[start + j, i]
-        Z[:] = 0.0
-        for i in range(5):
-            Z[i, i + 1, :] = 1.0
-        for _ in range(p.substeps):
+    sample = make_sample(rates)
+
+    @inline
+    def step(x, u, parameters):
+        return sample(x, (u, 0.0, 0.0), parameters.field, parameters.h, parameters.substeps)
+
+    def linearize(x, u, parameters, D):
+        """Fill D (N, 6, 8): seven columns of slopes of the sample by (x, u), and the gap from the next state.
+
+        The derivative of a Runge-Kutta step is the same Runge-Kutta step of the linearized plant, with the slopes of
+        its four stages.  So these are visited once, their slopes kept, and six deviations led through them; the
+        seventh, of the position, stays what it is, as nothing depends on where the cart stands.
+        """
+        c = parameters.field
+        h = parameters.h
+        N = len(u)
+        now = np.empty((6, _BLOCK))
+        Z = np.empty((6, 6, _BLOCK))  # deviation (five states, then the force), state, sample
+        J = np.empty(
+            (4, 18, _BLOCK)
+        )  # stage, slope of an acceleration, sample: the sample last, for vector instructions
+        for start in range(0, N, _BLOCK):
+            m = min(_BLOCK, N - start)
             for j in range(m):
-                f = (u[start + j], 0.0, 0.0)
-                x1 = (now[0, j], now[1, j], now[2, j], now[3, j], now[4, j], now[5, j])
-                k1 = rates(x1, f, c)
-                _set_slopes(J, 0, j, acceleration_slopes(x1, k1[3:], c))
-                x2 = axpy(x1, k1, 0.5 * h)
-                k2 = rates(x2, f, c)
-                _set_slopes(J, 1, j, acceleration_slopes(x2, k2[3:], c))
-                x3 = axpy(x1, k2, 0.5 * h)
-                k3 = rates(x3, f, c)
-                _set_slopes(J, 2, j, acceleration_slopes(x3, k3[3:], c))
-                x4 = axpy(x1, k3, h)
-                k4 = rates(x4, f, c)
-                _set_slopes(J, 3, j, acceleration_slopes(x4, k4[3:], c))
                 for i in range(6):
-                    now[i, j] = x1[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
-            for d in range(6):
-                push = 1.0 if d == 5 else 0.0
+                    now[i, j] = x[start + j, i]
+            Z[:] = 0.0
+            for i in range(5):
+                Z[i, i + 1, :] = 1.0
+            for _ in range(parameters.substeps):
                 for j in range(m):
-                    z = (Z[d, 0, j], Z[d, 1, j], Z[d, 2, j], Z[d, 3, j], Z[d, 4, j], Z[d, 5, j])
-                    k1 = _tangent(J, 0, j, z, push)
-                    k2 = _tangent(J, 1, j, axpy(z, k1, 0.5 * h), push)
-                    k3 = _tangent(J, 2, j, axpy(z, k2, 0.5 * h), push)
-                    k4 = _tangent(J, 3, j, axpy(z, k3, h), push)
+                    f = (u[start + j], 0.0, 0.0)
+                    x1 = (now[0, j], now[1, j], now[2, j], now[3, j], now[4, j], now[5, j])
+                    k1, slopes = field(x1, f, c)
+                    _set_slopes(J, 0, j, slopes)
+                    x2 = axpy(x1, k1, 0.5 * h)
+                    k2, slopes = field(x2, f, c)
+                    _set_slopes(J, 1, j, slopes)
+                    x3 = axpy(x1, k2, 0.5 * h)
+                    k3, slopes = field(x3, f, c)
+                    _set_slopes(J, 2, j, slopes)
+                    x4 = axpy(x1, k3, h)
+                    k4, slopes = field(x4, f, c)
+                    _set_slopes(J, 3, j, slopes)
                     for i in range(6):
-                        Z[d, i, j] = z[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
-        for j in range(m):
-            k = start + j
-            for i in range(6):
-                D[k, i, 0] = 1.0 if i == 0 else 0.0
+                        now[i, j] = x1[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
                 for d in range(6):
-                    D[k, i, d + 1] = Z[d, i, j]
-                D[k, i, 7] = now[i, j] - x[k + 1, i]
+                    push = 1.0 if d == 5 else 0.0
+                    for j in range(m):
+                        z = (Z[d, 0, j], Z[d, 1, j], Z[d, 2, j], Z[d, 3, j], Z[d, 4, j], Z[d, 5, j])
+                        k1 = _tangent(J, 0, j, z, push)
+                        k2 = _tangent(J, 1, j, axpy(z, k1, 0.5 * h), push)
+                        k3 = _tangent(J, 2, j, axpy(z, k2, 0.5 * h), push)
+                        k4 = _tangent(J, 3, j, axpy(z, k3, h), push)
+                        for i in range(6):
+                            Z[d, i, j] = z[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
+            for j in range(m):
+                k = start + j
+                for i in range(6):
+                    D[k, i, 0] = 1.0 if i == 0 else 0.0
+                    for d in range(6):
+                        D[k, i, d + 1] = Z[d, i, j]
+                    D[k, i, 7] = now[i, j] - x[k + 1, i]
+
+    return step, linearize
+
+
+def make_differences(step: Any) -> Any:
+    """Build the slopes of a sample by central differences, for a plant that states none."""
+
+    @inline
+    def moved(x, j, way):
+        return (
+            x[0] + (way if j == 0 else 0.0),
+            x[1] + (way if j == 1 else 0.0),
+            x[2] + (way if j == 2 else 0.0),
+            x[3] + (way if j == 3 else 0.0),
+            x[4] + (way if j == 4 else 0.0),
+            x[5] + (way if j == 5 else 0.0),
+        )
+
+    def linearize(x, u, parameters, D):
+        for k in range(len(u)):
+            now = _row(x, k)
+            after = step(now, u[k], parameters)
+            for i in range(6):
+                D[k, i, 7] = after[i] - x[k + 1, i]
+            for j in range(7):
+                push = _DIFFERENCE if j == 6 else 0.0
+                ahead = step(moved(now, j, _DIFFERENCE), u[k] + push, parameters)
+                behind = step(moved(now, j, -_DIFFERENCE), u[k] - push, parameters)
+                for i in range(6):
+                    D[k, i, j] = (ahead[i] - behind[i]) / (2.0 * _DIFFERENCE)
+
+    return linearize
 
 
 @compiled
@@ -324,40 +388,6 @@ def backward(x, u, p, P, D, damping, du, K):
     return first, second, steepest
 
 
-@compiled
-def rollout(x0, x, u, K, du, D, length, p, P, x_new, u_new):
-    """Follow u + length du + K (x_new - x), clipped, into x_new and u_new; return the cost.
-
-    The linear prediction behind du closes every gap in one full step.  A step of a part of that length is to close the
-    same part, so that the share 1 - length of each gap is left, and the new states stay near those linearized about.
-    """
-    c = Coefficients(*p.coefficients)
-    N = len(u)
-    left = 1.0 - length
-    now = (x0[0], x0[1], x0[2], x0[3], x0[4], x0[5])
-    cost = 0.0
-    for k in range(N):
-        _set_row(x_new, k, now)
-        force = u[k] + length * du[k]
-        for i in range(6):
-            force += K[k, i] * (x_new[k, i] - x[k, i])
-        force = _clip(force, p.force_limit)
-        u_new[k] = force
-        cost += _stage_cost(now, force, p)
-        now = sample(now, (force, 0.0, 0.0), c, p.h, p.substeps)
-        if left > 0.0:
-            now = (
-                now[0] - left * D[k, 0, 7],
-                now[1] - left * D[k, 1, 7],
-                now[2] - left * D[k, 2, 7],
-                now[3] - left * D[k, 3, 7],
-                now[4] - left * D[k, 4, 7],
-                now[5] - left * D[k, 5, 7],
-            )
-    _set_row(x_new, N, now)
-    return cost + _final_cost(now, P, p)
-
-
 @inline
 def _keep(x, u, K, x_new, u_new, K_new):
     for k in range(len(u)):
@@ -375,70 +405,136 @@ def next_damping(damping, better):
     return max(10.0 * damping, 1e-2)
 
 
-@compiled
-def improve(x, u, K, p, P, iterations, tolerance, trials):
-    """Improve a plan in place; return whether it converged, the iterations tried and accepted, and the cost.
+@lru_cache
+def make_loops(
+    step: Callable[..., Any], linearize: Callable[..., Any] | None = None, sources: Sequence[Path] = ()
+) -> Loops:
+    """Build the loops for a plant, once for each.
 
-    While there are gaps, the cost counts them too, at twice the greatest slope by a state, which makes the penalty
-    exact.  Where a plan runs out of iterations with gaps left, they are closed by following it with its gains.
+    Parameters
+    ----------
+    step : callable
+        ``step(x, u, parameters)``: six numbers, given six and a force; what numba compiles.
+    linearize : callable, optional
+        ``linearize(x, u, parameters, D)`` fills D as that of :func:`make_flow` does; left out, central differences.
+    sources : tuple of Path
+        All files, or folders of them, that ``step`` and ``linearize`` are made of: then the machine code is kept on
+        disk.  Without, it is compiled anew in each process.
     """
-    N = len(u)
-    D = np.empty((N, 6, 8))
-    du = np.zeros(N)
-    K_new = np.zeros((N, 6))
-    x_new = np.empty((N + 1, 6))
-    u_new = np.empty(N)
-    cost = cost_of(x, u, p, P)
-    start = np.empty(6)
-    for i in range(6):
-        start[i] = x[0, i]
-    damping = 0.0
-    penalty = 0.0
-    gaps = 0.0
-    fresh = False
-    converged = False
-    tried = 0
-    accepted = 0
-    while True:
-        if not fresh:
-            linearize(x, u, p, D)
-            gaps = 0.0
-            for k in range(N):
-                for i in range(6):
-                    gaps += abs(D[k, i, 7])
-            if gaps < 1e-9:  # rounding
+    step = step if hasattr(step, "py_func") else inline(step)
+    names = [f"{each.__module__}.{each.__qualname__}" for each in (step, linearize) if each is not None]
+    keep: Any = partial(compiled, sources=sources, key=" ".join(names)) if sources else numba.njit(**OPTIONS)
+    slopes = keep(linearize or make_differences(step))
+
+    @keep
+    def rollout(x0, x, u, K, du, D, length, p, parameters, P, x_new, u_new):
+        """Follow u + length du + K (x_new - x), clipped, into x_new and u_new; return the cost.
+
+        The linear prediction behind du closes every gap in one full step.  A step of a part of that length is to close
+        the same part, so that the share 1 - length of each gap is left, and the new states stay near those linearized
+        about.
+        """
+        N = len(u)
+        left = 1.0 - length
+        now = (x0[0], x0[1], x0[2], x0[3], x0[4], x0[5])
+        cost = 0.0
+        for k in range(N):
+            _set_row(x_new, k, now)
+            force = u[k] + length * du[k]
+            for i in range(6):
+                force += K[k, i] * (x_new[k, i] - x[k, i])
+            force = _clip(force, p.force_limit)
+            u_new[k] = force
+            cost += _stage_cost(now, force, p)
+            now = step(now, force, parameters)
+            if left > 0.0:
+                now = (
+                    now[0] - left * D[k, 0, 7],
+                    now[1] - left * D[k, 1, 7],
+                    now[2] - left * D[k, 2, 7],
+                    now[3] - left * D[k, 3, 7],
+                    now[4] - left * D[k, 4, 7],
+                    now[5] - left * D[k, 5, 7],
+                )
+        _set_row(x_new, N, now)
+        return cost + _final_cost(now, P, p)
+
+    @keep
+    def improve(x, u, K, p, parameters, P, iterations, tolerance, trials):
+        """Improve a plan in place; return whether it converged, the iterations tried and accepted, and the cost.
+
+        While there are gaps, the cost counts them too, at twice the greatest slope by a state, which makes the penalty
+        exact.  Where a plan runs out of iterations with gaps left, they are closed by following it with its gains.
+        """
+        N = len(u)
+        D = np.empty((N, 6, 8))
+        du = np.zeros(N)
+        K_new = np.zeros((N, 6))
+        x_new = np.empty((N + 1, 6))
+        u_new = np.empty(N)
+        cost = cost_of(x, u, p, P)
+        start = np.empty(6)
+        for i in range(6):
+            start[i] = x[0, i]
+        damping = 0.0
+        penalty = 0.0
+        gaps = 0.0
+        fresh = False
+        converged = False
+        tried = 0
+        accepted = 0
+        while True:
+            if not fresh:
+                slopes(x, u, parameters, D)
                 gaps = 0.0
-            fresh = True
-        if tried == iterations or damping > 1e6:
-            break
-        first, second, steepest = backward(x, u, p, P, D, damping, du, K_new)
-        if gaps == 0.0 and math.isfinite(cost) and -2.0 * first - second <= tolerance * cost:
-            _keep(x, u, K, x, u, K_new)
-            converged = True
-            break
-        # A gap moves the cost by at most the slope there, 2 * steepest with the halving undone: an exact penalty has to
-        # be steeper, and must not fall, or two plans could each be better than the other.
-        penalty = max(penalty, 4.0 * steepest)
-        length = 1.0
-        tried += 1
-        better = False
-        cost_new = cost
-        for _ in range(trials):
-            cost_new = rollout(start, x, u, K_new, du, D, length, p, P, x_new, u_new)
-            if gaps == 0.0:  # Armijo's rule, with the halving undone
-                better = cost_new < cost + 1e-4 * length * (2.0 * first + length * second)
-            else:
-                better = cost_new + (1.0 - length) * gaps * penalty < cost + (1.0 - 1e-4 * length) * gaps * penalty
-            if better:
+                for k in range(N):
+                    for i in range(6):
+                        gaps += abs(D[k, i, 7])
+                if gaps < 1e-9:  # rounding
+                    gaps = 0.0
+                fresh = True
+            if tried == iterations or damping > 1e6:
                 break
-            length *= 0.4
-        if better:
-            _keep(x, u, K, x_new, u_new, K_new)
-            cost = cost_new
-            accepted += 1
-            fresh = False
-        damping = next_damping(damping, better)
-    if gaps > 0.0:
-        cost = rollout(start, x, u, K, np.zeros(N), D, 1.0, p, P, x_new, u_new)
-        _keep(x, u, K, x_new, u_new, K)
-    return converged, tried, accepted, cost
+            first, second, steepest = backward(x, u, p, P, D, damping, du, K_new)
+            if gaps == 0.0 and math.isfinite(cost) and -2.0 * first - second <= tolerance * cost:
+                _keep(x, u, K, x, u, K_new)
+                converged = True
+                break
+            # A gap moves the cost by at most the slope there, 2 * steepest with the halving undone: an exact penalty
+            # has to be steeper, and must not fall, or two plans could each be better than the other.
+            penalty = max(penalty, 4.0 * steepest)
+            length = 1.0
+            tried += 1
+            better = False
+            cost_new = cost
+            for _ in range(trials):
+                cost_new = rollout(start, x, u, K_new, du, D, length, p, parameters, P, x_new, u_new)
+                if gaps == 0.0:  # Armijo's rule, with the halving undone
+                    better = cost_new < cost + 1e-4 * length * (2.0 * first + length * second)
+                else:
+                    better = cost_new + (1.0 - length) * gaps * penalty < cost + (1.0 - 1e-4 * length) * gaps * penalty
+                if better:
+                    break
+                length *= 0.4
+            if better:
+                _keep(x, u, K, x_new, u_new, K_new)
+                cost = cost_new
+                accepted += 1
+                fresh = False
+            damping = next_damping(damping, better)
+        if gaps > 0.0:
+            cost = rollout(start, x, u, K, np.zeros(N), D, 1.0, p, parameters, P, x_new, u_new)
+            _keep(x, u, K, x_new, u_new, K)
+        return converged, tried, accepted, cost
+
+    return Loops(slopes, rollout, improve)
+
+
+@inline
+def _plant_field(x, f, c):
+    k = rates(x, f, c)
+    return k, acceleration_slopes(x, k[3:], c)
+
+
+PLANT = make_loops(*make_flow(rates, _plant_field), (Path(__file__).parent,))
+"""The loops of the equations of motion; the field of their Flow is of ``Coefficients``."""

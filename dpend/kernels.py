@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +24,25 @@ from .cache import NotPrivate, private_folder
 from .params import Coefficients
 from .provenance import fingerprint
 
-_OPTIONS = {"error_model": "numpy", "fastmath": {"contract"}}
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
+"""How numba compiles, everywhere."""
 
-inline = numba.njit(forceinline=True, **_OPTIONS)
+inline = numba.njit(forceinline=True, **OPTIONS)
 """Compile a function that others inline.  ``contract`` fuses multiply-adds and leaves NaN as it is."""
 
 
 class _Cache(FunctionCache):
-    """Numba's cache, in which what cannot be read is compiled anew, and a full disk is no error."""
+    """Numba's cache, in which what cannot be read is compiled anew, and a full disk is no error.
+
+    What a function closes over is named by a key: numba's own hash of compiled functions differs in each process.
+    """
+
+    def __init__(self, function: Callable[..., Any], key: str) -> None:
+        super().__init__(function)
+        self._key = key
+
+    def _index_key(self, sig: Any, codegen: Any) -> Any:
+        return (sig, codegen.magic_tuple(), self._key) if self._key else super()._index_key(sig, codegen)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
@@ -50,27 +61,25 @@ class _Cache(FunctionCache):
             self.disable()
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], sources: Iterable[Path] = (), key: str = "") -> Any:
     """Compile an entry point and keep the machine code on disk.
 
     Numba notices edits in the function's own file only, so the folder is named after a hash of all the sources it may
-    use: what this file is made of, and the function's own package where that is another.  Where no folder can be
+    use: what this file is made of, the function's own package where that is another, and those given.  A function that
+    closes over others has a key, which names them.  Where no folder can be
     written, it is compiled anew each time; so it is, with a warning, where others may write to the folder, because
     what numba reads from it is a pickle.
     """
     here = Path(__file__).parent
     package = Path(function.__code__.co_filename).parent
-    sources = [
-        here / name for name in ("equations.py", "episode.py", "params.py", "state.py", "status.py", "kernels.py")
-    ]
-    if package != here:
-        sources.append(package)
+    own = ("equations.py", "episode.py", "params.py", "state.py", "status.py", "kernels.py")
+    every = {*(here / name for name in own), *([package] if package != here else []), *sources}
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    dispatcher = numba.njit(**_OPTIONS)(function)
+    dispatcher = numba.njit(**OPTIONS)(function)
     try:
         root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path.home() / ".cache" / "dpend")
-        numba.config.CACHE_DIR = str(private_folder(root / fingerprint(*sources)))  # type: ignore[attr-defined]
-        dispatcher._cache = _Cache(function)  # type: ignore[attr-defined]
+        numba.config.CACHE_DIR = str(private_folder(root / fingerprint(*sorted(every))))  # type: ignore[attr-defined]
+        dispatcher._cache = _Cache(function, key)  # type: ignore[attr-defined]
     except NotPrivate as reason:
         warnings.warn(str(reason), RuntimeWarning, stacklevel=2)
     except (OSError, RuntimeError):  # there is no home, or no folder that may be written to
@@ -135,16 +144,25 @@ def cos(angle):
 
 rates = inline(equations.make_rates(sin, cos))
 axpy = inline(equations.axpy)
-rk4 = inline(equations.make_rk4(rates, axpy))
 acceleration_slopes = inline(equations.make_acceleration_slopes(sin, cos))
 
 
-@inline
-def sample(x, f, c, h, substeps):
-    """Return state tuple after ``substeps`` Runge-Kutta steps of ``h`` seconds under held forces: the scalar step."""
-    for _ in range(substeps):
-        x = rk4(x, f, c, h)
-    return x
+def make_sample(rates: Any) -> Any:
+    """Build a sample: the state tuple after ``substeps`` Runge-Kutta steps of ``h`` seconds under held forces."""
+    rk4 = inline(equations.make_rk4(rates, axpy))
+
+    @inline
+    def sample(x, f, c, h, substeps):
+        for _ in range(substeps):
+            x = rk4(x, f, c, h)
+        return x
+
+    return sample
+
+
+rk4 = inline(equations.make_rk4(rates, axpy))
+sample = make_sample(rates)
+"""The scalar step of the plant."""
 
 
 _BLOCK = 256

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +14,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rigs import endless, random_params, random_states, whole
 
 import dpend
-from controllers import ILQRMPC, LQR, Trajectory, ilqr, ilqr_kernels
-from dpend import SwingUp, equations
+from controllers import ILQRMPC, LQR, Model, Trajectory, ilqr, ilqr_kernels
+from dpend import SwingUp, equations, kernels
 from dpend.params import Array
 from dpend.rig import Rig
 
@@ -58,7 +60,7 @@ def test_the_slopes_of_a_sample_are_those_of_the_complex_step(substeps: int) -> 
     N = 40  # more than a block
     x, u = random_states(rng, N + 1), rng.uniform(-40, 40, N)
     D = np.empty((N, 6, 8))
-    ilqr_kernels.linearize(x, u, planner(rig).problem, D)
+    ilqr_kernels.PLANT.linearize(x, u, planner(rig).parameters, D)
     rk4 = equations.make_rk4(equations.make_rates(np.sin, np.cos))
     for column in range(7):
         moved, force = x[:-1].T.astype(complex), u.astype(complex)
@@ -88,7 +90,7 @@ def test_a_clamped_force_has_no_feedback_and_stays_in_the_box() -> None:
     mpc = planner(RIG, horizon=0.4)
     plan = mpc.straight(mpc.problem, np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0]))
     D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
-    ilqr_kernels.linearize(plan.x, plan.u, mpc.problem, D)
+    ilqr_kernels.PLANT.linearize(plan.x, plan.u, mpc.parameters, D)
     ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 0.0, du, K)
     clamped = np.abs(plan.u + du) == RIG.force_limit
     assert clamped.any()
@@ -156,7 +158,7 @@ def test_damping_shortens_a_step_and_its_feedback_in_proportion() -> None:
     mpc = planner(endless(), horizon=0.4)
     plan = mpc.straight(mpc.problem, np.array([0.0, 0.3, -0.2, 0.0, 0.0, 0.0]))
     D = np.empty((20, 6, 8))
-    ilqr_kernels.linearize(plan.x, plan.u, mpc.problem, D)
+    ilqr_kernels.PLANT.linearize(plan.x, plan.u, mpc.parameters, D)
     (du, K), (damped, its_K) = [(np.empty(20), np.empty((20, 6))) for _ in range(2)]
     ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 0.0, du, K)
     ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 3.0, damped, its_K)
@@ -180,7 +182,9 @@ def test_damping_grows_while_plans_get_no_better_and_soon_vanishes_when_they_do(
 def test_where_a_full_step_is_too_long_a_damped_one_is_taken_in_its_place() -> None:
     mpc = planner(RIG)
     plan = mpc.driven(mpc.problem, HANGING.copy(), mpc.noise(np.random.default_rng(0)))
-    converged, tried, accepted, _ = ilqr_kernels.improve(plan.x, plan.u, plan.K, mpc.problem, mpc.P, 300, 1e-6, 1)
+    converged, tried, accepted, _ = ilqr_kernels.PLANT.improve(
+        plan.x, plan.u, plan.K, mpc.problem, mpc.parameters, mpc.P, 300, 1e-6, 1
+    )
     assert converged
     assert accepted < tried < 300
 
@@ -417,6 +421,72 @@ def test_balancing_saves_all_that_lean_by_a_fifth_of_a_radian() -> None:
     task = dpend.Balance(lam=0.2)
     x0 = task.starts(np.random.default_rng(1), 20, RIG)
     assert dpend.simulate_many(RIG, ILQRMPC(RIG, upright_only=True), x0, task=task).success.all()
+
+
+# -------------------------------------------------------------------------------------------------- models of one's own
+
+
+def the_same(x, u, parameters):
+    coefficients, h = parameters
+    return kernels.sample(x, (u, 0.0, 0.0), coefficients, h, 2)
+
+
+def model_of(rig: Rig) -> Model:
+    return Model(step=the_same, parameters=(rig.params.coefficients(), rig.sample_time / 2))
+
+
+def test_a_model_that_states_no_slopes_gets_those_of_the_plant_it_copies() -> None:
+    x, u = random_states(np.random.default_rng(0), 1)[0], 7.0
+    for name in ("gustafsson2016", "dompc_dip"):  # one compilation serves both
+        rig = dpend.rig(name).replace(substeps=2)
+        planned = planner(rig)
+        D = np.empty((1, 6, 8))
+        ilqr_kernels.PLANT.linearize(np.tile(x, (2, 1)), np.array([u]), planned.parameters, D)
+        A, B = model_of(rig).slopes(x, u)
+        assert_allclose(np.hstack([A, B]), D[0, :, :7], rtol=0, atol=1e-7)
+    with pytest.raises(ValueError, match="x must be one state"):
+        model_of(RIG).slopes(np.zeros(5))
+
+
+def test_on_a_model_equal_to_the_plant_plans_and_regulator_are_the_plants() -> None:
+    x0 = np.array([0.0, 0.3, -0.1, 0.0, 0.0, 0.0])
+    settings: dict[str, Any] = {"horizon": 0.6, "Q": (10, 50, 50, 1, 1, 1), "R": 0.1}
+    one, other = (ilqr(RIG, x0, model=model, **settings) for model in (None, model_of(RIG)))
+    assert_allclose(other.u, one.u, rtol=0, atol=1e-4)
+    planned = ILQRMPC(RIG, model=model_of(RIG), **settings)
+    regulator = ILQRMPC(RIG, **settings)
+    assert planned.lqr is None
+    assert_allclose(planned.K, regulator.K, rtol=1e-5)
+    assert_allclose(planned.P, regulator.P, rtol=1e-4)
+
+
+@pytest.mark.parametrize("preset", ["gustafsson2016", "bogdanov2004", "pilco2011", "dompc_dip"])
+def test_a_models_linearisation_gives_the_horizon_that_lengths_would_within_a_fifth(preset: str) -> None:
+    rig = dpend.rig(preset)
+    A, B = (np.asarray(part) for part in dpend.discretize(*dpend.linearize(rig.params), rig.sample_time))
+    g, length, mass = inside._scales(A, B, rig.sample_time)
+    links = float(rig.params.length1 + rig.params.length2) / 2
+    assert abs(math.sqrt(length / g / (links / rig.params.gravity)) - 1) < 0.2
+    assert 0.6 < mass / float(rig.params.coefficients().d1) < 1.5
+
+
+@pytest.mark.slow
+def test_the_page_plans_on_a_network() -> None:
+    blocks = re.findall(r"```python\n(.*?)```", Path("docs/ilqr.md").read_text(), flags=re.DOTALL)
+    (example,) = (block for block in blocks if "Model" in block)
+    found: dict[str, Any] = {"np": np, "dpend": dpend, "rig": RIG}
+    exec(example, found)
+    assert found["run"].success
+
+
+def test_a_model_without_a_regulator_still_has_finite_weights() -> None:
+    A, B = 1.5 * np.eye(6), np.zeros((6, 1))
+    K, P = inside.regulator(A, B, np.ones(6), 0.1)
+    assert np.isfinite(P).all()
+    assert not K.any()
+    _, length, mass = inside._scales(np.eye(6), B, 0.02)
+    assert 0.1 <= length <= 4.0
+    assert math.isfinite(mass)
 
 
 # ---------------------------------------------------------------------------------------------------------------- scale
