@@ -1,0 +1,228 @@
+r"""The swing-up from seconds of experience: a model of the plant is learned, and planned on.
+
+The first episode is of random forces.  After each, the model is fitted to all transitions so far, and the next episode
+is driven by iLQR on it, in a receding horizon.  What the model is told beforehand are switches of
+:class:`ModelBased`, each a line in ``docs/model-based.md``.
+
+Source: M. Deisenroth and C. Rasmussen, *PILCO: a model-based and data-efficient approach to policy search*, ICML 2011,
+whose task and episodes these are.  It searches a policy on the model; here the plan is made while the plant runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import dpend
+from controllers.ilqr import ILQRMPC
+from dpend.controller import Act
+from dpend.params import Array, Params
+from dpend.rig import Rig, single_rig
+from dpend.run import Run
+from dpend.suggest import suggests
+from dpend.tasks import SwingUp
+
+from .harmonic import HarmonicModel, Transitions
+from .policies import Saved
+from .training import Outcome, Progress, Seed, Session, Training, check_settings
+
+_STREAM = 2011  # sets learning apart from starts drawn with the same seed
+_REACH, _TIP = 0.5, 0.1  # m: of the cart from the middle, and of the tip from upright, where a swing-up has settled
+
+
+def settled(run: Run) -> bool:
+    """Return whether a run ended with a second of the cart within .5 m of the middle, the tip within .1 m of upright.
+
+    The true state counts, and the tip's distance from where it would be above the cart.
+    """
+    last = run.x[-1 - round(1.0 / run.rig.sample_time) :]
+    lengths = np.array([run.rig.params.length1, run.rig.params.length2], dtype=np.float64)
+    across, below = np.sin(last[:, 1:3]) @ lengths, (1 - np.cos(last[:, 1:3])) @ lengths
+    good = np.isfinite(last).all() and len(run.u) == getattr(run.task, "steps", len(run.u))
+    return bool(good and (np.abs(last[:, 0]) < _REACH).all() and (np.hypot(across, below) < _TIP).all())
+
+
+class ModelPolicy(Saved):
+    """iLQR in a receding horizon on a learned model.
+
+    Parameters
+    ----------
+    model : HarmonicModel or KernelModel
+        The model.
+    sample_time, force_limit, track_limit : float
+        Clock and limits, s, N and m.
+    about : mapping, optional
+        Where it comes from; saved with it.
+    """
+
+    kind = "model"
+    saved = ("sample_time", "force_limit", "track_limit")
+    batched = False
+    name = "iLQR on a learned model"
+
+    def __init__(
+        self, model: HarmonicModel, *, sample_time: float, force_limit: float, track_limit: float,
+        about: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
+        self.model, self.about = model, dict(about or {})
+        self.sample_time, self.force_limit = float(sample_time), float(force_limit)
+        self.track_limit = float(track_limit)
+
+    @cached_property
+    def planner(self) -> ILQRMPC:
+        """The controller."""
+        nothing = Params(cart_mass=1, mass1=1, mass2=1, length1=1, length2=1)  # which a plan on a model does not read
+        rig = Rig(params=nothing, sample_time=self.sample_time, force_limit=self.force_limit,
+                  track_limit=self.track_limit)  # fmt: skip
+        return ILQRMPC(rig, model=self.model.model)
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Return the law for one run."""
+        return self.planner.start(n, rng)
+
+    def uncertainty(self, x: npt.ArrayLike, u: npt.ArrayLike) -> Array:
+        """Return the standard deviations (N, 3) of the accelerations believed in states (N, 6) under forces (N,)."""
+        return self.model.uncertainty(np.atleast_2d(np.asarray(x, float)), np.atleast_1d(np.asarray(u, float)))
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return what is saved, by name."""
+        model = {f"model_{name}": value for name, value in self.model.arrays().items()}
+        return super().arrays() | model
+
+    @classmethod
+    def from_arrays(cls, *, about: Mapping[str, Any], **arrays: Any) -> ModelPolicy:
+        """Build a policy from what :meth:`arrays` returned."""
+        settings = {name: float(arrays.pop(name)) for name in cls.saved}
+        model = {name.removeprefix("model_"): value for name, value in arrays.items()}
+        return cls(HarmonicModel.from_arrays(**model), about=about, **settings)
+
+
+class RandomForces:
+    """Random forces, smooth over .2 s, and a weak spring that draws the cart to the middle.
+
+    Parameters
+    ----------
+    rig : Rig
+        Clock and limits.
+    """
+
+    name = "random forces"
+    batched = False
+
+    def __init__(self, rig: Rig) -> None:
+        self.force, self.reach = float(rig.force_limit), min(float(rig.track_limit) / 2, 1.0)
+        self.smooth = math.exp(-float(rig.sample_time) / 0.2)
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Return the law for one run."""
+        noise = rng.standard_normal()
+
+        def act(t: float, y: Array) -> Array:
+            nonlocal noise
+            noise = self.smooth * noise + math.sqrt(1 - self.smooth**2) * rng.standard_normal()
+            share = 0.4 * noise - 0.3 * y[:, 0] / self.reach - 0.15 * y[:, 3]
+            return self.force * np.clip(np.nan_to_num(share), -1.0, 1.0)
+
+        return act
+
+
+@suggests
+@dataclass(frozen=True, kw_only=True)
+class ModelBased:
+    r"""Model-based learning of the swing-up: a model fitted after each episode, and iLQR on it in the next.
+
+    Parameters
+    ----------
+    rig : Rig or str
+        The plant, or the name of a preset; it may have noise, but neither lag nor delay nor rounding.  Beside its runs
+        the learner sees its clock and its limits.
+    mirror : bool
+        Whether it is told that mirrored motion is motion.
+    episode_seconds : float
+        Length of an episode, s.
+    angle_spread : float
+        Each starts hanging, with each angle moved by :math:`U[-s, s]`, rad.
+    episodes : int
+        Greatest number of them.
+    streak : int
+        So many successful episodes in a row end the training.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the rig is not such.
+    """
+
+    rig: Rig = field(kw_only=False)
+    mirror: bool = True
+    episode_seconds: float = 5.0
+    angle_spread: float = 0.1
+    episodes: int = 12
+    streak: int = 3
+
+    def __post_init__(self) -> None:
+        rig = single_rig(self.rig, "ModelBased")
+        object.__setattr__(self, "rig", rig)
+        if not math.isfinite(float(rig.force_limit)):
+            raise ValueError("ModelBased needs a rig with a force limit: it sets the size of the random forces.")
+        if not rig.replace(sensor_noise=0.0).ideal:
+            raise ValueError("ModelBased takes a rig without lag, delay, rounding or noise of the force; got one with.")
+        check_settings(self, whole=("episodes", "streak"), positive=("episode_seconds",), nonnegative=("angle_spread",))
+
+    @property
+    def task(self) -> SwingUp:
+        """Swinging up from hanging, in episodes of its own."""
+        steps = max(round(self.episode_seconds / float(self.rig.sample_time)), 1)
+        return SwingUp(angle_spread=self.angle_spread, steps=steps)
+
+    def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
+        """Learn from nothing, as every :class:`rl.Learner` does; a budget may cut the last episode short.
+
+        ``curve`` has the ``length`` of each episode and its ``success``, which is :func:`settled` and is not looked at
+        but to stop; ``details`` the ``noise`` (m, 3) of the measured rates that each model inferred.  Converged means
+        ``streak`` successes in a row.
+        """
+        session, task, h = Session(self, seed, seconds, progress, _STREAM), self.task, float(self.rig.sample_time)
+        parts: list[Transitions] = []
+        policies: list[ModelPolicy] = []
+        lengths: list[int] = []
+        success: list[bool] = []
+        spent: list[int] = []
+        settings = {"sample_time": h, "force_limit": float(self.rig.force_limit),
+                    "track_limit": float(self.rig.track_limit)}  # fmt: skip
+        law: Any = RandomForces(self.rig)
+        while len(lengths) < self.episodes and session.left > 0:
+            steps = min(task.steps, session.left)
+            x0 = task.starts(session.rng, 1, self.rig)[0]
+            run = dpend.simulate(
+                self.rig, law, x0, steps * h, task=task, seed=int(session.rng.integers(2**31))
+            )  # the task says when it ends
+            n = len(run.u)
+            session.spent += n
+            lengths.append(n)
+            success.append(settled(run))
+            parts.append(Transitions(run.y[:n], run.u, run.y[1 : n + 1]))
+            data = Transitions(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+            before = policies[-1].model if policies else None
+            model = HarmonicModel.fit(data, h, self.mirror, session.rng, before)
+            law = ModelPolicy(model, **settings)
+            policies.append(law)
+            spent.append(session.spent)
+            session.report(len(lengths) / self.episodes)
+            if len(success) >= self.streak and all(success[-self.streak :]):
+                break
+        converged = len(success) >= self.streak and all(success[-self.streak :])
+        return session.training(
+            Outcome.CONVERGED if converged else Outcome.BUDGET_SPENT,
+            lambda policy, about=None: ModelPolicy(policy.model, about=about, **settings),
+            policies[-1],
+            (spent, policies),
+            {"length": np.array(lengths), "success": np.array(success)},
+            {"noise": np.array([policy.model.noise for policy in policies])},
+        )
