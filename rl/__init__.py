@@ -3,8 +3,10 @@
 from dpend.deprecation import renamed_exports
 
 from .deep import DeepLearner, train_deep
+from .identify_plan import IdentifyAndPlan, PlannedPolicy
 from .linear_q import LinearQLearning
 from .lspi import LSPI, QuadraticQLearning
+from .model_based import ModelBased, ModelPolicy
 from .natural_qac import NaturalQAC
 from .policies import GainPolicy, LinearQPolicy, MLPPolicy, Network, TableOneMean, load_policy
 from .qac import GaussianQAC
@@ -18,13 +20,17 @@ __all__ = [
     "DeepRecipe",
     "GainPolicy",
     "GaussianQAC",
+    "IdentifyAndPlan",
     "Learner",
     "LinearQLearning",
     "LinearQPolicy",
     "MLPPolicy",
+    "ModelBased",
+    "ModelPolicy",
     "NaturalQAC",
     "Network",
     "Outcome",
+    "PlannedPolicy",
     "QuadraticQLearning",
     "Snapshot",
     "TableOneMean",

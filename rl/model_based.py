@@ -11,10 +11,10 @@ whose task and episodes these are.  It searches a policy on the model; here the 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,7 @@ from dpend.suggest import suggests
 from dpend.tasks import SwingUp
 
 from .harmonic import HarmonicModel, Transitions
+from .kernel_model import KernelModel, Told
 from .policies import Saved
 from .training import Outcome, Progress, Seed, Session, Training, check_settings
 
@@ -67,7 +68,7 @@ class ModelPolicy(Saved):
     name = "iLQR on a learned model"
 
     def __init__(
-        self, model: HarmonicModel, *, sample_time: float, force_limit: float, track_limit: float,
+        self, model: Any, *, sample_time: float, force_limit: float, track_limit: float,
         about: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
         self.model, self.about = model, dict(about or {})
@@ -82,6 +83,10 @@ class ModelPolicy(Saved):
                   track_limit=self.track_limit)  # fmt: skip
         return ILQRMPC(rig, model=self.model.model)
 
+    def attributed(self, about: Mapping[str, Any] | None) -> ModelPolicy:
+        """Return the same policy with a provenance."""
+        return type(self)(self.model, about=about, **{name: getattr(self, name) for name in self.saved})
+
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for one run."""
         return self.planner.start(n, rng)
@@ -93,14 +98,15 @@ class ModelPolicy(Saved):
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return what is saved, by name."""
         model = {f"model_{name}": value for name, value in self.model.arrays().items()}
-        return super().arrays() | model
+        return super().arrays() | model | {"model": np.asarray(self.model.kind)}
 
     @classmethod
     def from_arrays(cls, *, about: Mapping[str, Any], **arrays: Any) -> ModelPolicy:
         """Build a policy from what :meth:`arrays` returned."""
         settings = {name: float(arrays.pop(name)) for name in cls.saved}
-        model = {name.removeprefix("model_"): value for name, value in arrays.items()}
-        return cls(HarmonicModel.from_arrays(**model), about=about, **settings)
+        built: Any = {each.kind: each for each in (HarmonicModel, KernelModel)}[str(arrays.pop("model"))]
+        model = built.from_arrays(**{name.removeprefix("model_"): value for name, value in arrays.items()})
+        return cls(model, about=about, **settings)
 
 
 class RandomForces:
@@ -113,23 +119,112 @@ class RandomForces:
     """
 
     name = "random forces"
-    batched = False
 
     def __init__(self, rig: Rig) -> None:
         self.force, self.reach = float(rig.force_limit), min(float(rig.track_limit) / 2, 1.0)
         self.smooth = math.exp(-float(rig.sample_time) / 0.2)
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Return the law for one run."""
-        noise = rng.standard_normal()
+        """Return the law for ``n`` runs."""
+        noise = rng.standard_normal(n)
 
-        def act(t: float, y: Array) -> Array:
+        def act(_: float, y: Array) -> Array:
             nonlocal noise
-            noise = self.smooth * noise + math.sqrt(1 - self.smooth**2) * rng.standard_normal()
+            noise = self.smooth * noise + math.sqrt(1 - self.smooth**2) * rng.standard_normal(n)
             share = 0.4 * noise - 0.3 * y[:, 0] / self.reach - 0.15 * y[:, 3]
             return self.force * np.clip(np.nan_to_num(share), -1.0, 1.0)
 
         return act
+
+
+Policy = TypeVar("Policy")
+
+
+def excited_rig(rig: Rig | str, learner: str) -> Rig:
+    """Return the rig, or the preset of that name, of a learner that acts at random first and allows for noise."""
+    rig = single_rig(rig, learner)
+    if not math.isfinite(float(rig.force_limit)):
+        raise ValueError(f"{learner} needs a rig with a force limit, the size of its random forces; got one without.")
+    if not rig.replace(sensor_noise=0.0).ideal:
+        raise ValueError(f"{learner} takes a rig without lag, delay, rounding or noise of the force; got one with.")
+    return rig
+
+
+def episodes_of(learner: Any) -> SwingUp:
+    """Return the task of a learner's episodes: swinging up from hanging."""
+    steps = max(round(learner.episode_seconds / float(learner.rig.sample_time)), 1)
+    return SwingUp(angle_spread=learner.angle_spread, steps=steps)
+
+
+def practise(
+    learner: Any, session: Session, first: int, fit: Callable[[list[Run], Policy | None], Policy | None]
+) -> tuple[list[Run], list[Policy], list[int], list[bool]]:
+    """Act in episodes, fitting after each what drives the next; end after the learner's streak of successes.
+
+    Parameters
+    ----------
+    learner : Learner
+        With its rig, task, ``episodes`` and ``streak``.
+    session : Session
+        The training under way.
+    first : int
+        Samples of the first episode, of random forces; so is every other until there is something fitted.
+    fit : callable
+        What drives the next episode, given all runs so far and what drove the last; None if they do not tell.
+
+    Returns
+    -------
+    runs : list of Run
+        One an episode.
+    policies : list
+        What was fitted.
+    spent : list of int
+        Samples of experience until each of them.
+    success : list of bool
+        Whether each episode was a success, by :func:`settled`.
+    """
+    rig, task, streak = learner.rig, learner.task, learner.streak
+    runs: list[Run] = []
+    policies: list[Policy] = []
+    spent: list[int] = []
+    success: list[bool] = []
+    policy: Policy | None = None
+    while len(runs) < learner.episodes and session.left > 0 and not (len(success) >= streak and all(success[-streak:])):
+        law: Any = RandomForces(rig) if policy is None else policy
+        steps = min(task.steps if policies else first, session.left)
+        x0 = task.starts(session.rng, 1, rig)[0]
+        seed = int(session.rng.integers(2**31))
+        runs.append(dpend.simulate(rig, law, x0, steps * rig.sample_time, task=task, seed=seed))
+        session.spent += len(runs[-1].u)
+        success.append(settled(runs[-1]))
+        policy = fit(runs, policy)
+        if policy is not None:
+            policies.append(policy)
+            spent.append(session.spent)
+        session.report(len(runs) / learner.episodes)
+    return runs, policies, spent, success
+
+
+def practised(
+    session: Session, runs: list[Run], policies: list[Any], spent: list[int], success: list[bool], streak: int,
+    details: Mapping[str, Any],
+) -> Training:  # fmt: skip
+    """Return the training that such practice came to."""
+    converged = len(success) >= streak and all(success[-streak:])
+    return session.training(
+        Outcome.CONVERGED if converged else Outcome.BUDGET_SPENT,
+        lambda policy, about=None: policy.attributed(about),
+        policies[-1],
+        (spent, policies),
+        {"length": np.array([len(run.u) for run in runs]), "success": np.array(success)},
+        details,
+    )
+
+
+def transitions(runs: Sequence[Run]) -> Transitions:
+    """Return what was measured in runs, sample by sample."""
+    parts = [Transitions(run.y[:-1], run.u, run.y[1:]) for run in runs]
+    return Transitions(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 @suggests
@@ -142,8 +237,17 @@ class ModelBased:
     rig : Rig or str
         The plant, or the name of a preset; it may have noise, but neither lag nor delay nor rounding.  Beside its runs
         the learner sees its clock and its limits.
+    angles : bool
+        Whether it is told that angles recur: sines and cosines take their place.
+    second_order : bool
+        That velocities are the rates of positions.
+    cart_invariance : bool
+        That it does not matter where the cart stands.
     mirror : bool
-        Whether it is told that mirrored motion is motion.
+        That mirrored motion is motion.
+    structure : bool
+        That accelerations are affine in the force and quadratic in the rates, with coefficients that depend on the
+        angles; needs the first three.
     episode_seconds : float
         Length of an episode, s.
     angle_spread : float
@@ -160,26 +264,31 @@ class ModelBased:
     """
 
     rig: Rig = field(kw_only=False)
+    angles: bool = True
+    second_order: bool = True
+    cart_invariance: bool = True
     mirror: bool = True
+    structure: bool = True
     episode_seconds: float = 5.0
     angle_spread: float = 0.1
     episodes: int = 12
     streak: int = 3
 
     def __post_init__(self) -> None:
-        rig = single_rig(self.rig, "ModelBased")
-        object.__setattr__(self, "rig", rig)
-        if not math.isfinite(float(rig.force_limit)):
-            raise ValueError("ModelBased needs a rig with a force limit: it sets the size of the random forces.")
-        if not rig.replace(sensor_noise=0.0).ideal:
-            raise ValueError("ModelBased takes a rig without lag, delay, rounding or noise of the force; got one with.")
-        check_settings(self, whole=("episodes", "streak"), positive=("episode_seconds",), nonnegative=("angle_spread",))
+        object.__setattr__(self, "rig", excited_rig(self.rig, "ModelBased"))
+        needed = self.angles and self.second_order and self.cart_invariance
+        check_settings(
+            self,
+            ("structure", needed or not self.structure, "False without angles, second_order and cart_invariance"),
+            whole=("episodes", "streak"),
+            positive=("episode_seconds",),
+            nonnegative=("angle_spread",),
+        )
 
     @property
     def task(self) -> SwingUp:
         """Swinging up from hanging, in episodes of its own."""
-        steps = max(round(self.episode_seconds / float(self.rig.sample_time)), 1)
-        return SwingUp(angle_spread=self.angle_spread, steps=steps)
+        return episodes_of(self)
 
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
         """Learn from nothing, as every :class:`rl.Learner` does; a budget may cut the last episode short.
@@ -188,41 +297,20 @@ class ModelBased:
         but to stop; ``details`` the ``noise`` (m, 3) of the measured rates that each model inferred.  Converged means
         ``streak`` successes in a row.
         """
-        session, task, h = Session(self, seed, seconds, progress, _STREAM), self.task, float(self.rig.sample_time)
-        parts: list[Transitions] = []
-        policies: list[ModelPolicy] = []
-        lengths: list[int] = []
-        success: list[bool] = []
-        spent: list[int] = []
-        settings = {"sample_time": h, "force_limit": float(self.rig.force_limit),
-                    "track_limit": float(self.rig.track_limit)}  # fmt: skip
-        law: Any = RandomForces(self.rig)
-        while len(lengths) < self.episodes and session.left > 0:
-            steps = min(task.steps, session.left)
-            x0 = task.starts(session.rng, 1, self.rig)[0]
-            run = dpend.simulate(
-                self.rig, law, x0, steps * h, task=task, seed=int(session.rng.integers(2**31))
-            )  # the task says when it ends
-            n = len(run.u)
-            session.spent += n
-            lengths.append(n)
-            success.append(settled(run))
-            parts.append(Transitions(run.y[:n], run.u, run.y[1 : n + 1]))
-            data = Transitions(*(np.concatenate(each) for each in zip(*parts, strict=True)))
-            before = policies[-1].model if policies else None
-            model = HarmonicModel.fit(data, h, self.mirror, session.rng, before)
-            law = ModelPolicy(model, **settings)
-            policies.append(law)
-            spent.append(session.spent)
-            session.report(len(lengths) / self.episodes)
-            if len(success) >= self.streak and all(success[-self.streak :]):
-                break
-        converged = len(success) >= self.streak and all(success[-self.streak :])
-        return session.training(
-            Outcome.CONVERGED if converged else Outcome.BUDGET_SPENT,
-            lambda policy, about=None: ModelPolicy(policy.model, about=about, **settings),
-            policies[-1],
-            (spent, policies),
-            {"length": np.array(lengths), "success": np.array(success)},
-            {"noise": np.array([policy.model.noise for policy in policies])},
-        )
+        session, h, rng = Session(self, seed, seconds, progress, _STREAM), float(self.rig.sample_time)
+        rng = session.rng
+        told = Told(self.angles, self.second_order, self.cart_invariance, self.mirror)
+        settings = {"sample_time": h, "force_limit": self.rig.force_limit, "track_limit": self.rig.track_limit}
+
+        def fit(runs: list[Run], policy: ModelPolicy | None) -> ModelPolicy:
+            data, before = transitions(runs), None if policy is None else policy.model
+            model: Any = (
+                HarmonicModel.fit(data, h, self.mirror, rng, before)
+                if self.structure
+                else KernelModel.fit(data, h, told, rng, before)
+            )
+            return ModelPolicy(model, **settings)
+
+        runs, policies, spent, success = practise(self, session, self.task.steps, fit)
+        noise = np.array([policy.model.noise for policy in policies])
+        return practised(session, runs, policies, spent, success, self.streak, {"noise": noise})

@@ -1,0 +1,275 @@
+r"""A plain Gaussian process of what a sample changes, with as much or as little built in as is asked for.
+
+Each change is :math:`\sum_i \alpha_i k(z, z_i)` with a squared-exponential kernel, one length scale an input,
+
+.. math:: k(z, z') = s^2 \exp\bigl(-\tfrac12 \textstyle\sum_j (z_j - z'_j)^2 / \ell_j^2\bigr),
+
+and :math:`z` the state and the force: angles as they are or by sine and cosine, with or without the cart's position.
+Either all six states change by processes of their own, or the three rates do and positions follow by the trapezoidal
+rule.  Told of the mirror, each process is odd: its kernel is :math:`(k(z, z') - k(z, -z'))/2`, cosines keeping their
+sign.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.optimize import minimize
+
+from controllers.ilqr import Model
+from dpend.kernels import cos, inline, sin
+from dpend.params import Array
+
+from .harmonic import Transitions
+
+_POINTS, _MOST = 300, 1200  # transitions for the marginal likelihood, and for the posterior
+_JITTER = 1e-3  # least noise, as a share of the changes
+
+
+class Told(NamedTuple):
+    """What is known of the plant before it moves."""
+
+    angles: bool
+    second_order: bool
+    cart_invariance: bool
+    mirror: bool
+
+
+class Centers(NamedTuple):
+    """The model as the compiled code takes it."""
+
+    z: Array
+    """Centres (M, D), mirrored ones included."""
+    alpha: Array
+    """Weights (M, E)."""
+    per: Array
+    """Inverse squared length scales (E, D)."""
+    angles: bool
+    cart_invariance: bool
+    h: float
+
+
+def _inputs(x: Array, u: Array, told: Told) -> Array:
+    """Return z (N, D) for states (N, 6) and forces (N,)."""
+    th = x[:, 1:3]
+    shown = [np.sin(th), np.cos(th)] if told.angles else [th]
+    return np.column_stack([x[:, :0] if told.cart_invariance else x[:, :1], *shown, x[:, 3:], u])
+
+
+def _signs(told: Told) -> Array:
+    """Return the sign that each input has in the mirror."""
+    shown = [-1, -1, 1, 1] if told.angles else [-1, -1]
+    return np.array([*([] if told.cart_invariance else [-1]), *shown, -1, -1, -1, -1], dtype=np.float64)
+
+
+@inline
+def _seen(x, u, c):
+    z = np.empty(c.z.shape[1])
+    j = 0 if c.cart_invariance else 1
+    z[0] = x[0]
+    if c.angles:
+        z[j], z[j + 1], z[j + 2], z[j + 3] = sin(x[1]), sin(x[2]), cos(x[1]), cos(x[2])
+    else:
+        z[j], z[j + 1] = x[1], x[2]
+    z[-4], z[-3], z[-2], z[-1] = x[3], x[4], x[5], u
+    return z
+
+
+@inline
+def _changes(z, c, change, slopes):
+    """Add up the changes (E,), and their slopes by z (E, D) where there is room for them."""
+    M, D = c.z.shape
+    for i in range(M):
+        for e in range(len(change)):
+            far = 0.0
+            for j in range(D):
+                far += c.per[e, j] * (c.z[i, j] - z[j]) ** 2
+            part = c.alpha[i, e] * math.exp(-0.5 * far)
+            change[e] += part
+            if len(slopes):
+                for j in range(D):
+                    slopes[e, j] += part * c.per[e, j] * (c.z[i, j] - z[j])
+
+
+@inline
+def _after(x, change, h):
+    if len(change) == 6:
+        return (x[0] + change[0], x[1] + change[1], x[2] + change[2],
+                x[3] + change[3], x[4] + change[4], x[5] + change[5])  # fmt: skip
+    v, w1, w2 = x[3] + change[0], x[4] + change[1], x[5] + change[2]
+    return x[0] + 0.5 * h * (x[3] + v), x[1] + 0.5 * h * (x[4] + w1), x[2] + 0.5 * h * (x[5] + w2), v, w1, w2
+
+
+@inline
+def _step(x, u, c):
+    change = np.zeros(c.alpha.shape[1])
+    _changes(_seen(x, u, c), c, change, np.empty((0, 0)))
+    return _after(x, change, c.h)
+
+
+def _linearize(x, u, c, D):
+    E = c.alpha.shape[1]
+    D[:] = 0.0
+    for k in range(len(u)):
+        now = (x[k, 0], x[k, 1], x[k, 2], x[k, 3], x[k, 4], x[k, 5])
+        change, slopes = np.zeros(E), np.zeros((E, c.z.shape[1]))
+        _changes(_seen(now, u[k], c), c, change, slopes)
+        j = 0 if c.cart_invariance else 1
+        for e in range(E):
+            row = e + 6 - E
+            for i in range(4):
+                D[k, row, 3 + i] = slopes[e, len(slopes[e]) - 4 + i]
+            if c.angles:
+                for i in range(2):
+                    th = now[1 + i]
+                    D[k, row, 1 + i] = slopes[e, j + i] * cos(th) - slopes[e, j + 2 + i] * sin(th)
+            else:
+                for i in range(2):
+                    D[k, row, 1 + i] = slopes[e, j + i]
+            if not c.cart_invariance:
+                D[k, row, 0] = slopes[e, 0]
+            D[k, row, row] += 1.0
+        if E == 3:
+            for i in range(3):
+                for col in range(7):
+                    D[k, i, col] = 0.5 * c.h * D[k, 3 + i, col]
+                D[k, i, i] += 1.0
+                D[k, i, 3 + i] += 0.5 * c.h
+        after = _after(now, change, c.h)
+        for i in range(6):
+            D[k, i, 7] = after[i] - x[k + 1, i]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KernelModel:
+    """The posterior of the processes, given transitions.
+
+    Parameters
+    ----------
+    z : ndarray (N, D)
+        Inputs.
+    alpha : ndarray (N, E)
+        Weights of the kernels about them.
+    hyper : ndarray (E, D + 2)
+        Logarithms of the length scales, the amplitude and the noise.
+    sample_time : float
+        s.
+    told : Told
+        What is built in.
+    """
+
+    z: Array
+    alpha: Array
+    hyper: Array
+    sample_time: float
+    told: Told
+
+    kind = "kernel"
+
+    @property
+    def model(self) -> Model:
+        """What a planner takes."""
+        z, alpha = self.z, self.alpha * np.exp(2 * self.hyper[:, -2])
+        if self.told.mirror:
+            z, alpha = np.vstack([z, z * _signs(self.told)]), np.vstack([alpha, -alpha]) / 2
+        parameters = Centers(z, alpha, np.exp(-2 * self.hyper[:, :-2]), self.told.angles, self.told.cart_invariance,
+                             self.sample_time)  # fmt: skip
+        return Model(step=_step, linearize=_linearize, parameters=parameters, sources=(Path(__file__),))
+
+    @property
+    def noise(self) -> Array:
+        """Standard deviations (3,) of the measured rates that the model infers, m/s and rad/s."""
+        return np.exp(self.hyper[-3:, -1]) / math.sqrt(2)  # a change has the noise of two measurements
+
+    def uncertainty(self, x: Array, u: Array) -> Array:
+        """Return the standard deviations (N, 3) of the mean accelerations in states (N, 6) under forces (N,)."""
+        new, signs = _inputs(x, u, self.told), _signs(self.told)
+        std = np.empty((len(x), 3))
+        for d, hyper in enumerate(self.hyper[-3:]):
+            across, _ = _kernel(new, self.z, hyper, self.told, signs)
+            own = np.exp(2 * hyper[-2]) * np.ones(len(x))
+            if self.told.mirror:
+                twice = np.exp(-0.5 * (((new - new * signs) / np.exp(hyper[:-2])) ** 2).sum(axis=1))
+                own = own * (1 - twice) / 2
+            known = solve_triangular(_factor(self.z, hyper, self.told)[0], across.T, lower=True)
+            std[:, d] = np.sqrt(np.maximum(own - (known**2).sum(axis=0), 0)) / self.sample_time
+        return std
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return what it is made of."""
+        return {name: np.asarray(value) for name, value in vars(self).items()}
+
+    @classmethod
+    def from_arrays(cls, sample_time: Any, told: Any, **arrays: Any) -> KernelModel:
+        """Build it from what :meth:`arrays` returned."""
+        return cls(sample_time=float(sample_time), told=Told(*map(bool, told)), **arrays)
+
+    @classmethod
+    def fit(
+        cls, data: Transitions, h: float, told: Told, rng: np.random.Generator, before: KernelModel | None
+    ) -> KernelModel:
+        """Return the posterior after transitions; hyperparameters are sought from those of the model before."""
+        z, y = _inputs(data.x, data.u, told), (data.after - data.x)[:, 3 if told.second_order else 0 :]
+        size = np.sqrt(np.mean(y**2, axis=0)) + 1e-9
+        center = np.array([[*np.log(2 * z.std(axis=0) + 1e-3), math.log(2 * s), math.log(0.1 * s)] for s in size])
+        hyper = center if before is None else before.hyper
+        rows = np.sort(rng.permutation(len(z))[:_POINTS])
+        hyper = np.stack([_most_likely(z[rows], y[rows, e], told, hyper[e], center[e]) for e in range(len(size))])
+        kept = np.sort(rng.permutation(len(z))[:_MOST])
+        z, y = z[kept], y[kept]
+        alpha = np.stack([cho_solve(_factor(z, hyper[e], told), y[:, e]) for e in range(len(size))], axis=1)
+        return cls(z=z, alpha=alpha, hyper=hyper, sample_time=h, told=told)
+
+
+def _kernel(a: Array, b: Array, hyper: Array, told: Told, signs: Array) -> tuple[Array, list[Array]]:
+    """Return the kernel of inputs and its parts: the plain kernel, and the mirrored one if there is one."""
+    scaled, others = a / np.exp(hyper[:-2]), [b] + ([b * signs] if told.mirror else [])
+    parts = []
+    for other in (each / np.exp(hyper[:-2]) for each in others):
+        far = (scaled**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2 * scaled @ other.T
+        parts.append(np.exp(2 * hyper[-2] - 0.5 * np.maximum(far, 0)))
+    return ((parts[0] - parts[1]) / 2 if told.mirror else parts[0]), parts
+
+
+def _factor(z: Array, hyper: Array, told: Told) -> tuple[Array, bool]:
+    K, _ = _kernel(z, z, hyper, told, _signs(told))
+    K[np.diag_indices_from(K)] += np.exp(2 * hyper[-1]) + 1e-9 * np.exp(2 * hyper[-2])
+    return cho_factor(K, lower=True, overwrite_a=True, check_finite=False)
+
+
+def _most_likely(z: Array, y: Array, told: Told, start: Array, center: Array) -> Array:
+    """Return the hyperparameters of greatest posterior density."""
+    signs, n = _signs(told), len(z)
+    spread = np.array([1.0] * z.shape[1] + [1.0, 2.0])
+    gaps = [[(a[:, None] - a) ** 2, (a[:, None] - s * a) ** 2] for a, s in zip(z.T, signs, strict=True)]
+
+    def loss(h: Array) -> tuple[float, Array]:
+        K, parts = _kernel(z, z, h, told, signs)
+        noise = np.exp(2 * h[-1])
+        weights = (parts[0] / 2, -parts[1] / 2) if told.mirror else (parts[0],)
+        noisy = K.copy()
+        noisy[np.diag_indices(n)] += noise + 1e-9 * np.exp(2 * h[-2])
+        factor = cho_factor(noisy, lower=True, overwrite_a=True, check_finite=False)
+        inverse = cho_solve(factor, np.eye(n), check_finite=False)
+        alpha = inverse @ y
+        W = inverse - np.outer(alpha, alpha)
+        slope = np.empty(len(h))
+        weighed = [W * part for part in weights]
+        for j, gap in enumerate(gaps):
+            slope[j] = 0.5 * np.exp(-2 * h[j]) * sum(np.vdot(each, g) for each, g in zip(weighed, gap, strict=False))
+        slope[-2], slope[-1] = np.vdot(W, K), noise * np.trace(W)
+        away = (h - center) / spread
+        value = 0.5 * y @ alpha + np.log(factor[0].diagonal()).sum() + 0.5 * away @ away
+        return float(value), slope + away / spread
+
+    limits = np.stack([center - 3.5, center + 3.5], axis=1)
+    limits[-1] = center[-1] + math.log(10) + math.log(_JITTER), center[-1] + math.log(10)
+    found = minimize(loss, np.clip(start, *limits.T), jac=True, method="L-BFGS-B", bounds=limits.tolist(),
+                     options={"maxiter": 40})  # fmt: skip
+    return found.x
