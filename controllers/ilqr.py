@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections import ChainMap
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -488,6 +489,11 @@ class _Horizon:
         self._plan: _Plan | None = None
         self._challenger: _Plan | None = None
         self._age = 0
+
+    def follow(self, parameters: tuple[Any, ...]) -> None:
+        """Plan on the same model with other parameters from now on; the weight of a plan's end stays."""
+        self._planner = copy(self._planner)
+        self._planner.parameters = parameters
 
     def __call__(self, t: float, y: Array) -> Array:
         x = np.array(y[0], dtype=np.float64)

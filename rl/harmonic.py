@@ -21,13 +21,14 @@ odd: 928 of 1859 weights.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg.blas import dger
 from scipy.optimize import minimize
 from scipy.special import ive
 
@@ -296,11 +297,50 @@ class HarmonicModel:
                     ]
                 )  # fmt: skip
             weights, target, slopes = _posterior(data, mid, gained, size, features, hyper, excess, h, mirror)
-            by = h * slopes
-            by[:, range(3), range(2, 5)] += 1.0
-            excess = 1.0 + np.minimum((by**2).sum(axis=2), _STEEPEST)
+            excess = _excess(slopes, h)
         inputs = np.column_stack([mid, data.u])
         return cls(weights=weights, hyper=hyper, inputs=inputs, excess=excess, sample_time=h, mirror=mirror)
+
+
+class Tracker:
+    """The posterior of a model, updated sample by sample, its hyperparameters held.
+
+    Parameters
+    ----------
+    belief : HarmonicModel
+        Where it begins.
+    """
+
+    def __init__(self, belief: HarmonicModel) -> None:
+        self._belief = replace(belief, weights=belief.weights.copy())
+        features = _features(belief.inputs[:, :6], belief.inputs[:, 6], belief.mirror)
+        self._covariances = []
+        for d, hyper in enumerate(belief.hyper):
+            scale = np.sqrt(_variances(hyper, belief.mirror))
+            factor = _factor(features * scale, np.exp(2 * hyper[-1]) * belief.excess[:, d])
+            half = solve_triangular(factor, np.diag(scale), lower=True, check_finite=False)
+            self._covariances.append(np.asfortranarray(half.T @ half))
+
+    @property
+    def parameters(self) -> Flow:
+        """What :data:`step` takes."""
+        return self._belief.parameters
+
+    def update(self, x: Array, u: float, after: Array) -> None:
+        """Learn from one sample: measured state (6,), the force held, and the state measured next."""
+        belief = self._belief
+        h, data = belief.sample_time, Transitions(x[None], np.array([u]), after[None])
+        mid = middles(data, h)
+        target, slopes = _corrected(data, mid, belief, np.full(3, math.inf))
+        excess = _excess(slopes, h)
+        phi = _features(mid, data.u, belief.mirror)[0]
+        if not (np.isfinite(phi).all() and np.isfinite(target).all()):
+            return
+        for d, covariance in enumerate(self._covariances):
+            g = covariance @ phi
+            gain = 1.0 / (np.exp(2 * belief.hyper[d, -1]) * excess[0, d] + phi @ g)
+            belief.weights[d] += gain * (target[0, d] - belief.weights[d] @ phi) * g
+            dger(-gain, g, g, a=covariance, overwrite_x=0, overwrite_y=0, overwrite_a=1)
 
 
 def _prior_center(size: Array, products_size: Array) -> Array:
@@ -326,8 +366,7 @@ def _posterior(
     h: float, mirror: bool,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Return posterior mean weights, the targets corrected, and the slopes at the middles."""
-    weights = np.empty((3, features.shape[1]))
-    after, accelerations, slopes = np.empty((len(mid), 6)), np.empty((len(mid), 3)), np.empty((len(mid), 3, 5))
+    weights, slopes = np.empty((3, features.shape[1])), np.empty((len(mid), 3, 5))
     solvers = []
     for d in range(3):
         scale = np.sqrt(_variances(hyper[d], mirror))
@@ -337,13 +376,25 @@ def _posterior(
     for _ in range(_CORRECTIONS + 1):
         for d, (scaled, noise, factor, scale) in enumerate(solvers):
             weights[d] = scale * cho_solve((factor, True), scaled.T @ (target[:, d] / noise))
-        field = HarmonicModel(
-            weights=weights, hyper=hyper, inputs=mid, excess=excess, sample_time=h, mirror=mirror
-        ).parameters
-        _followed(data.x, data.u, field, mid, after, accelerations, slopes)
-        missed = (after[:, 3:] - data.x[:, 3:]) / h - accelerations
-        target = gained - np.clip(np.nan_to_num(missed), -size, size)
+        belief = HarmonicModel(weights=weights, hyper=hyper, inputs=mid, excess=excess, sample_time=h, mirror=mirror)
+        target, slopes = _corrected(data, mid, belief, size)
     return weights, target, slopes
+
+
+def _corrected(data: Transitions, mid: Array, belief: HarmonicModel, most: Array) -> tuple[Array, Array]:
+    """Return targets less what a Runge-Kutta sample gains beyond the acceleration in its middle, and slopes there."""
+    n, h = len(mid), belief.sample_time
+    after, accelerations, slopes = np.empty((n, 6)), np.empty((n, 3)), np.empty((n, 3, 5))
+    _followed(data.x, data.u, belief.parameters, mid, after, accelerations, slopes)
+    missed = (after[:, 3:] - data.x[:, 3:]) / h - accelerations
+    return (data.after - data.x)[:, 3:] / h - np.clip(np.nan_to_num(missed), -most, most), slopes
+
+
+def _excess(slopes: Array, h: float) -> Array:
+    """Return by what the noise of the targets (N, 3) is multiplied, as states are measured with the noise of rates."""
+    by = h * slopes
+    by[:, range(3), range(2, 5)] += 1.0
+    return 1.0 + np.minimum((by**2).sum(axis=2), _STEEPEST)
 
 
 def _factor(scaled: Array, noise: Array) -> Array:

@@ -28,7 +28,7 @@ from dpend.run import Run
 from dpend.suggest import suggests
 from dpend.tasks import SwingUp
 
-from .harmonic import HarmonicModel, Transitions
+from .harmonic import HarmonicModel, Tracker, Transitions
 from .kernel_model import KernelModel, Told
 from .policies import Saved
 from .training import Outcome, Progress, Seed, Session, Training, check_settings
@@ -87,6 +87,11 @@ class ModelPolicy(Saved):
         """Return the same policy with a provenance."""
         return type(self)(self.model, about=about, **{name: getattr(self, name) for name in self.saved})
 
+    @property
+    def adapting(self) -> Any:
+        """The same policy, its model updated in every sample; itself, if its model cannot be."""
+        return _Adapting(self) if isinstance(self.model, HarmonicModel) else self
+
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for one run."""
         return self.planner.start(n, rng)
@@ -107,6 +112,32 @@ class ModelPolicy(Saved):
         built: Any = {each.kind: each for each in (HarmonicModel, KernelModel)}[str(arrays.pop("model"))]
         model = built.from_arrays(**{name.removeprefix("model_"): value for name, value in arrays.items()})
         return cls(model, about=about, **settings)
+
+
+class _Adapting:
+    """A policy whose model goes on learning while it acts, in each run for itself."""
+
+    batched = False
+
+    def __init__(self, policy: ModelPolicy) -> None:
+        self.policy = policy
+
+    def start(self, n: int, rng: np.random.Generator) -> Act:
+        """Return the law for one run."""
+        law: Any = self.policy.start(n, rng)
+        tracker, limit = Tracker(self.policy.model), self.policy.force_limit
+        last: tuple[Array, float] | None = None
+
+        def act(t: float, y: Array) -> Array:
+            nonlocal last
+            if last is not None:
+                tracker.update(*last, y[0])
+                law.follow(tracker.parameters)
+            force = law(t, y)
+            last = y[0].copy(), float(np.clip(force[0], -limit, limit))
+            return force
+
+        return act
 
 
 class RandomForces:
@@ -191,6 +222,8 @@ def practise(
     policy: Policy | None = None
     while len(runs) < learner.episodes and session.left > 0 and not (len(success) >= streak and all(success[-streak:])):
         law: Any = RandomForces(rig) if policy is None else policy
+        if getattr(learner, "online", False):
+            law = getattr(law, "adapting", law)
         steps = min(task.steps if policies else first, session.left)
         x0 = task.starts(session.rng, 1, rig)[0]
         seed = int(session.rng.integers(2**31))
@@ -248,6 +281,8 @@ class ModelBased:
     structure : bool
         That accelerations are affine in the force and quadratic in the rates, with coefficients that depend on the
         angles; needs the first three.
+    online : bool
+        Whether the model is updated within an episode, too, sample by sample; with structure only.
     episode_seconds : float
         Length of an episode, s.
     angle_spread : float
@@ -269,6 +304,7 @@ class ModelBased:
     cart_invariance: bool = True
     mirror: bool = True
     structure: bool = True
+    online: bool = True
     episode_seconds: float = 5.0
     angle_spread: float = 0.1
     episodes: int = 12
@@ -297,7 +333,7 @@ class ModelBased:
         but to stop; ``details`` the ``noise`` (m, 3) of the measured rates that each model inferred.  Converged means
         ``streak`` successes in a row.
         """
-        session, h, rng = Session(self, seed, seconds, progress, _STREAM), float(self.rig.sample_time)
+        session, h = Session(self, seed, seconds, progress, _STREAM), float(self.rig.sample_time)
         rng = session.rng
         told = Told(self.angles, self.second_order, self.cart_invariance, self.mirror)
         settings = {"sample_time": h, "force_limit": self.rig.force_limit, "track_limit": self.rig.track_limit}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.linalg import cho_solve
 import dpend
 from dpend.params import Array
 from rl import IdentifyAndPlan, ModelBased, ModelPolicy, Outcome, harmonic, kernel_model, load_policy
-from rl.harmonic import HarmonicModel, Transitions
+from rl.harmonic import HarmonicModel, Tracker, Transitions
 from rl.kernel_model import KernelModel, Told
 from rl.model_based import RandomForces, settled, transitions
 
@@ -83,9 +84,7 @@ def test_told_of_the_mirror_a_model_is_odd_and_otherwise_not(build: Any) -> None
     rng = np.random.default_rng(1)
     belief = build(rng)
     model, x = belief.model, tuple(random_states(rng, 1)[0].tolist())
-    there, mirrored = (
-        np.array(model.step(tuple(s * v for v in x), 2.0 * s, model.parameters)) for s in (1.0, -1.0)
-    )
+    there, mirrored = (np.array(model.step(tuple(s * v for v in x), 2.0 * s, model.parameters)) for s in (1.0, -1.0))
     told = belief.mirror if isinstance(belief, HarmonicModel) else belief.told.mirror
     assert np.allclose(there, -mirrored, rtol=0, atol=1e-9) == told
 
@@ -97,7 +96,9 @@ def test_a_model_is_what_its_arrays_say(build: Any) -> None:
     x, u = random_states(rng, 5), rng.uniform(-5, 5, 5)
     assert_array_equal(back.uncertainty(x, u), belief.uncertainty(x, u))
     states = tuple(x[0].tolist())
-    assert back.model.step(states, 1.0, back.model.parameters) == belief.model.step(states, 1.0, belief.model.parameters)
+    assert back.model.step(states, 1.0, back.model.parameters) == belief.model.step(
+        states, 1.0, belief.model.parameters
+    )
 
 
 @pytest.mark.parametrize("mirror", [True, False])
@@ -109,9 +110,7 @@ def test_the_harmonics_stand_for_the_kernel_of_sine_and_cosine(mirror: bool) -> 
     assert features.shape[1] == (928 if mirror else 1859)
 
     def kernel(sign: float) -> Array:
-        theta = sum(
-            (np.cos(x[:, i, None] - sign * x[:, i]) - 1) / np.exp(2 * hyper[i - 1]) for i in (1, 2)
-        )
+        theta = sum((np.cos(x[:, i, None] - sign * x[:, i]) - 1) / np.exp(2 * hyper[i - 1]) for i in (1, 2))
         q, other = harmonic.products(x[:, 3:], u), harmonic.products(sign * x[:, 3:], sign * u)
         return np.exp(theta) * ((q * np.exp(2 * hyper[2:-1])) @ other.T)
 
@@ -165,6 +164,25 @@ def test_what_a_model_is_unsure_of_covers_fields_drawn_from_its_prior() -> None:
                            excess=np.ones((250, 3)), sample_time=H, mirror=True)  # fmt: skip
     off = (belief.accelerations(x[new], u[new]) - features[new] @ truth.weights.T) / belief.uncertainty(x[new], u[new])
     assert 0.90 < (np.abs(off) < 1.96).mean() < 0.985
+
+
+def test_a_model_updated_sample_by_sample_is_the_one_fitted_to_all() -> None:
+    rng = np.random.default_rng(0)
+    belief = replace(random_harmonic(True, rng), sample_time=1e-6)  # so short that a sample is its middle
+    x, u = random_states(rng, 30), rng.uniform(-5, 5, 30)
+    data = Transitions(x, u, x + 1e-6 * rng.standard_normal((30, 6)))
+    mid = harmonic.middles(data, 1e-6)
+    features, gained = harmonic._features(mid, u, True), (data.after - x)[:, 3:] / 1e-6
+    excess = np.full((30, 3), 2.0)  # one and the slope of a rate by itself
+    weights, _, _ = harmonic._posterior(data, mid, gained, np.full(3, 1e9), features, belief.hyper, excess, 1e-6, True)
+    tracker = Tracker(
+        replace(belief, weights=np.zeros_like(weights), inputs=np.zeros((1, 7)), excess=np.full((1, 3), 1e15))
+    )
+    for sample in zip(x, u, data.after, strict=True):
+        tracker.update(*sample)
+    wanted = replace(belief, weights=weights).parameters.field
+    assert_allclose(tracker.parameters.field.sines, wanted.sines, rtol=0, atol=1e-3 * np.abs(wanted.sines).max())
+    assert_allclose(tracker.parameters.field.cosines, wanted.cosines, rtol=0, atol=1e-3 * np.abs(wanted.cosines).max())
 
 
 @pytest.mark.slow
