@@ -27,8 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
-from scipy.linalg.blas import dger
+from scipy.linalg import blas, cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 from scipy.special import ive
 
@@ -340,7 +339,7 @@ class Tracker:
             g = covariance @ phi
             gain = 1.0 / (np.exp(2 * belief.hyper[d, -1]) * excess[0, d] + phi @ g)
             belief.weights[d] += gain * (target[0, d] - belief.weights[d] @ phi) * g
-            dger(-gain, g, g, a=covariance, overwrite_x=0, overwrite_y=0, overwrite_a=1)
+            blas.dger(-gain, g, g, a=covariance, overwrite_x=0, overwrite_y=0, overwrite_a=1)
 
 
 def _prior_center(size: Array, products_size: Array) -> Array:

@@ -134,15 +134,16 @@ def test_the_slopes_of_the_marginal_likelihood_are_those_of_finite_differences(
 
     module: Any = harmonic if kind == "harmonic" else kernel_model
     monkeypatch.setattr(module, "minimize", capture)
+    if kind == "harmonic":
+        center = np.concatenate([np.log([1.0, 0.8]), rng.normal(-1, 0.3, 11), [-1.0]])
+        q, excess = harmonic.products(x[:, 3:], u), rng.uniform(1, 3, 25)
+        arguments: Any = (x[:, 1:3], q, y, excess, mirror, center, center + 0.3, 0.0)
+    else:
+        z = kernel_model._inputs(x, u, told := Told(True, True, False, mirror))
+        center = np.append(np.full(z.shape[1], 0.7), [0.3, -1.0])
+        arguments = (z, y, told, center, center + 0.3)
     with pytest.raises(StopIteration):
-        if kind == "harmonic":
-            start = np.concatenate([np.log([1.0, 0.8]), rng.normal(-1, 0.3, 11), [-1.0]])
-            q = harmonic.products(x[:, 3:], u)
-            harmonic._most_likely(x[:, 1:3], q, y, rng.uniform(1, 3, 25), mirror, start, start + 0.3, 0.0)
-        else:
-            z = kernel_model._inputs(x, u, told := Told(True, True, False, mirror))
-            start = np.append(np.full(z.shape[1], 0.7), [0.3, -1.0])
-            kernel_model._most_likely(z, y, told, start, start + 0.3)
+        module._most_likely(*arguments)
     ((loss, start),) = seen
     d = 1e-5
     differences = [(loss(start + d * e)[0] - loss(start - d * e)[0]) / (2 * d) for e in np.eye(len(start))]
@@ -243,7 +244,7 @@ def test_two_seconds_of_motion_and_the_equations_swing_up(preset: str) -> None:
     assert training.converged
     assert_array_equal(training.curve["success"], [False, True, True])
     lengths = training.details["found"][-1, 3:5]
-    assert_allclose(lengths, [rig.params.length1, rig.params.length2], rtol=0.03)
+    assert_allclose(lengths, [float(rig.params.length1), float(rig.params.length2)], rtol=0.03)
 
 
 @pytest.mark.parametrize(
@@ -253,7 +254,8 @@ def test_two_seconds_of_motion_and_the_equations_swing_up(preset: str) -> None:
          "ModelBased needs a rig with a force limit, the size of its random forces; got one without."),
         (IdentifyAndPlan, {"rig": RIG.replace(sensor_delay=1)},
          "IdentifyAndPlan takes a rig without lag, delay, rounding or noise of the force; got one with."),
-        (ModelBased, {"angles": False}, "structure must be False without angles, second_order and cart_invariance; got True."),
+        (ModelBased, {"angles": False},
+         "structure must be False without angles, second_order and cart_invariance; got True."),
         (ModelBased, {"episodes": 0}, "episodes must be a whole number, at least 1; got 0."),
         (IdentifyAndPlan, {"unknown": 1.0}, "unknown must be at least 0 and below 1; got 1.0."),
         (IdentifyAndPlan, {"motion": 0.5}, "motion must be at least 1 s; got 0.5."),

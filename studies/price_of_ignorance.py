@@ -1,0 +1,225 @@
+"""What is knowledge of the plant worth, in seconds of experience until the swing-up is learned?
+
+Method: learners that are told more or less of the plant, on pilco2011 (20 N, held for .05 s, noise of .01 on all that is
+measured) and on gustafsson2016 held for .05 s, exact; ten seeds, episodes of five seconds from hanging, ±0.1 rad, the
+first of random forces.  A swing-up succeeds if over its last second the cart is within .5 m of the middle and the tip
+within .1 m of upright.  Recorded are the experience and processor time until the first episode that succeeds, and until
+the second of two policies in a row that each swing up at least 90 % of 50 fresh starts.  PPO and DDPG are those of
+``docs/results/deep_swing_up``; PILCO's mark is the experience of 20 to 30 trials of 5 s, as published in 2011.
+
+Finding: not yet known; the table says what has been run so far.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+import dpend
+from rl import IdentifyAndPlan, Learner, ModelBased
+from rl.model_based import settled
+
+from . import _runner
+from ._closure import kept_table
+from ._estimates import mean_share, median
+from ._figures import COLOURS, facets, legend_above, log_axis
+from ._runner import Plant, Report, Result, Table, read_rows, where
+from ._tables import Value, sheet
+
+MINUTES = 300
+
+RIGS: Mapping[str, dpend.Rig] = {
+    "pilco2011": dpend.rig("pilco2011"),
+    "gustafsson2016, 0.05 s": dpend.rig("gustafsson2016").replace(sample_time=0.05, substeps=5),
+}
+_PLAIN: Callable[..., ModelBased] = partial(ModelBased, structure=False)
+TOLD: Mapping[str, tuple[Callable[..., Learner], float]] = {
+    "the equations": (IdentifyAndPlan, 32.0),
+    "structure, mirror": (ModelBased, 60.0),
+    "structure": (partial(ModelBased, mirror=False), 70.0),
+    "mirror": (_PLAIN, 120.0),
+    "second order": (partial(_PLAIN, mirror=False), 150.0),
+    "nothing": (partial(_PLAIN, angles=False, second_order=False, cart_invariance=False, mirror=False), 150.0),
+}
+"""What builds each learner, by what it is told of the plant, and the greatest experience, s."""
+_PILCO = (100.0, 150.0)  # s: 20 to 30 trials of 5 s
+_ENOUGH = 0.9
+_WHITE = {"facecolor": "w", "edgecolor": "none", "pad": 1.0}
+_STREAM = 1014  # sets these starts apart from those of learning
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(_runner.Options):
+    """Options of the command line."""
+
+    trainings: int = 10
+    """Seeds of each learner."""
+    starts: int = 50
+    """Fresh starts on which a policy is evaluated."""
+    only: tuple[str, ...] = ()
+    """What the learners that take part are told, such as "structure, mirror"; left out, all."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check_least(1, "trainings", "starts")
+        for name in self.only:
+            if name not in TOLD:
+                raise ValueError(f"--only: no learner is told {name!r}; known: {'; '.join(TOLD)}.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One training, and the evaluation of its policies."""
+
+    told: str
+    plant: Plant
+    training: int
+    seconds: float
+    starts: int
+    seed: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """What a training took; NaN for never, within the experience it had."""
+
+    first: float = math.nan  # experience until the first episode that succeeds, s
+    first_cpu: float = math.nan  # processor time of learning and acting until then, s
+    stable: float = math.nan  # experience until the second policy in a row that swings up 90 %
+    stable_cpu: float = math.nan
+    experience: float  # of the whole training, s
+    at_first: int = 0  # how many of all fresh starts the policy behind the first success swings up
+    tried: int = 0  # fresh starts of the last policy evaluated, which end with the first that makes 90 % impossible
+    succeeded: int = 0
+    track_ends: int = 0  # of the last policy's runs on fresh starts, those that ended at the track
+
+
+def jobs(options: Options) -> list[Job]:
+    """List the work: each learner on each rig."""
+    chosen = options.only or (("the equations",) if options.quick else tuple(TOLD))
+    trainings, starts = (1, 2) if options.quick else (options.trainings, options.starts)
+    return [
+        Job(told=told, plant=Plant(name, json.dumps(rig.to_dict())), training=k, starts=starts, seed=options.seed,
+            seconds=TOLD[told][1])
+        for told in chosen for name, rig in RIGS.items() for k in range(trainings)
+    ]  # fmt: skip
+
+
+def run(job: Job) -> Result:
+    """Train, and evaluate the policies from that of the first success on until two in a row are good."""
+    build, _ = TOLD[job.told]
+    rig = job.plant.rig
+    learner = build(rig, episodes=round(job.seconds / 5.0) + 1, streak=1000)  # no streak ends it
+    training = learner.train([job.seed, job.training], seconds=job.seconds)
+    experience, success = training.curve["experience"], training.curve["success"]
+    row: dict[str, float] = {"experience": training.experience}
+    rate = training.cost.cpu_seconds / training.experience
+    good, last = 0, (0, 0, 0)
+    if success.any():
+        first = int(np.argmax(success))
+        row |= {"first": float(experience[first]), "first_cpu": rate * float(experience[first])}
+        assert training.trail is not None
+        for spent, policy in zip(training.trail.experience, training.trail.weights, strict=True):
+            if spent >= experience[first - 1]:
+                whole = "at_first" not in row
+                last = _evaluated(rig, policy, learner, job, whole)
+                if whole:
+                    row["at_first"] = last[1]
+                good = good + 1 if last[1] >= _ENOUGH * job.starts else 0
+            if good == 2:
+                row |= {"stable": float(spent), "stable_cpu": rate * float(spent)}
+                break
+    arrays = {"experience": experience, "success": success.astype(np.float64)}
+    return Result([Row(**row, tried=last[0], succeeded=last[1], track_ends=last[2])], arrays)  # pyright: ignore[reportArgumentType]
+
+
+def _evaluated(
+    rig: dpend.Rig, policy: dpend.Controller, learner: Learner, job: Job, whole: bool
+) -> tuple[int, int, int]:
+    """Return how many fresh starts were tried, how many succeeded, and how many ended at the track.
+
+    They are tried one by one, all of them or until so many failed that less than 90 % would succeed.
+    """
+    starts = learner.task.starts(np.random.default_rng([_STREAM, job.seed, job.training]), job.starts, rig)
+    successes, track_ends = 0, 0
+    for tried, x0 in enumerate(starts):
+        if not whole and tried - successes > (1 - _ENOUGH) * job.starts:
+            return tried, successes, track_ends
+        run = dpend.simulate(rig, policy, x0, task=learner.task, seed=job.seed + tried)
+        successes += settled(run)
+        track_ends += run.status is dpend.Status.TRACK_END
+    return len(starts), successes, track_ends
+
+
+def report(table: Table) -> Report:
+    """Draw experience to success against what was told, and tabulate it with processor time."""
+    names = [name for name in RIGS if len(where(table.rows, plant=name))]
+    there = [told for told in TOLD if len(where(table.rows, told=told))]
+    figure, axes = facets(len(names), height=0.9 + 0.38 * (len(there) + 1) * len(names), sharex=True)
+    lines: list[dict[str, Value]] = []
+    for axis, name in zip(axes[:, 0], names, strict=True):
+        for k, told in enumerate(there):
+            own = where(table.rows, plant=name, told=told)
+            line: dict[str, Value] = {"plant": name, "told": told, "trainings": len(own)}
+            for kind, colour, mark, lift in (("first", COLOURS[0], "o", -0.15), ("stable", COLOURS[1], "D", 0.15)):
+                each = own[kind].to_numpy(dtype=np.float64)
+                found = np.isfinite(each)
+                height = np.full(len(each), k + lift)
+                axis.plot(
+                    each[found],
+                    height[found],
+                    mark,
+                    color=colour,
+                    ms=4,
+                    alpha=0.5,
+                    mew=0,
+                    label=f"{kind} success" if kind == "first" else "stable: 90 % of fresh starts, twice",
+                )
+                never = own["experience"].to_numpy(dtype=np.float64)[~found]
+                axis.plot(never, height[~found], ">", color=colour, ms=5, mfc="none", label="not within this")
+                middle = median(np.where(found, each, np.inf)) if len(each) else None
+                if middle is not None and math.isfinite(middle.value):
+                    axis.plot([middle.value] * 2, [k + lift - 0.12, k + lift + 0.12], color=colour, lw=2.2)
+                line |= {
+                    f"{kind}, s": middle,
+                    f"{kind}: trainings": int(found.sum()),
+                    f"{kind}, CPU s": median(own[f"{kind}_cpu"].to_numpy()[found]),
+                }
+            line["starts saved at first, %"] = mean_share(own["at_first"] / own["starts"], own["starts"])
+            lines.append(line)
+        if name == "pilco2011":
+            axis.axvspan(*_PILCO, color="0.88", lw=0)
+            axis.annotate(
+                "PILCO, 2011",
+                (math.sqrt(_PILCO[0] * _PILCO[1]), len(there) - 0.55),
+                ha="center",
+                fontsize=8,
+                bbox=_WHITE,
+            )
+        for deep, seconds in _deep().items() if name != "pilco2011" else ():
+            axis.axvline(seconds, color="0.5", lw=0.8, ls=":")
+            axis.annotate(deep, (seconds, len(there) - 0.55), ha="center", fontsize=8, bbox=_WHITE)
+        axis.set(ylim=(len(there) - 0.3, -0.6), yticks=range(len(there)), yticklabels=there, title=name)
+    log_axis(axes[-1, 0], ticks=(2, 5, 10, 20, 50, 100, 200, 1000, 10000, 100000))
+    axes[-1, 0].set_xlabel("experience (s)")
+    legend_above(figure, 3, "What is told of the plant, and what it saves")
+    return Report(figures=figure, tables=[sheet("Experience and processor time to success", lines)])
+
+
+def _deep() -> dict[str, float]:
+    """Return the median experience after which deep learners, on the same plant at .02 s, first swung up 95 %."""
+    rows = read_rows(kept_table("deep_swing_up"))
+    found = {}
+    for label, learner in (("DDPG", "ddpg-swing-up"), ("PPO", "ppo-swing-up")):
+        own = where(rows, learner=learner)
+        found[label] = float(np.median(own["steps_to_most"] * own["step_seconds"]))
+    return found
+
+
+if __name__ == "__main__":
+    _runner.main("studies.price_of_ignorance")
