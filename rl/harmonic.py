@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import blas, cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, get_blas_funcs, solve_triangular
 from scipy.optimize import minimize
 from scipy.special import ive
 
@@ -43,6 +43,7 @@ _SUBSTEPS = 2
 _POINTS = 300  # for the marginal likelihood
 _CORRECTIONS = 3
 _STEEPEST = 400.0  # cap of the squared slopes that multiply the noise
+_ger: Any = get_blas_funcs("ger", dtype=np.float64)
 _JITTER = 1e-3  # least noise, as a share of the accelerations
 
 
@@ -339,7 +340,7 @@ class Tracker:
             g = covariance @ phi
             gain = 1.0 / (np.exp(2 * belief.hyper[d, -1]) * excess[0, d] + phi @ g)
             belief.weights[d] += gain * (target[0, d] - belief.weights[d] @ phi) * g
-            blas.dger(-gain, g, g, a=covariance, overwrite_x=0, overwrite_y=0, overwrite_a=1)
+            _ger(-gain, g, g, a=covariance, overwrite_x=0, overwrite_y=0, overwrite_a=1)
 
 
 def _prior_center(size: Array, products_size: Array) -> Array:

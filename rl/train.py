@@ -1,8 +1,8 @@
 """Train a learner from the command line: ``python -m rl.train --algo ppo --task swing-up --rig gustafsson2016``.
 
 Each seed has a folder with its policy; of deep learners also with its settings, its evaluation curve and a checkpoint,
-so that a training that was stopped in any way goes on when the same command is given again.  The linear learners take
-seconds and have no settings but seed and rig.
+so that a training that was stopped in any way goes on when the same command is given again.  The linear and
+the model-based learners take seconds or minutes and have no settings but seed and rig.
 """
 
 from __future__ import annotations
@@ -31,8 +31,10 @@ from dpend.rig import Rig, rig
 from dpend.workers import interruptible, pool
 
 from .deep import Evaluation, pack, train_deep
+from .identify_plan import IdentifyAndPlan
 from .linear_q import LinearQLearning
 from .lspi import LSPI
+from .model_based import ModelBased
 from .policies import Policy
 from .qac import GaussianQAC
 from .recipes import DEFAULTS, INSTALL, NEEDED, DeepRecipe
@@ -40,9 +42,15 @@ from .settings import known
 from .training import Learner, Training
 
 LINEAR: Mapping[str, Callable[[Rig], Learner]] = MappingProxyType(
-    {"lspi": LSPI, "qac-tuned": GaussianQAC.tuned, "q-tuned": LinearQLearning.tuned}
+    {
+        "lspi": LSPI,
+        "qac-tuned": GaussianQAC.tuned,
+        "q-tuned": LinearQLearning.tuned,
+        "model-based": ModelBased,
+        "identify-and-plan": IdentifyAndPlan,
+    }
 )
-"""What builds each linear learner, in its tuned form; with seed 0 each learns the policy shipped by its name."""
+"""What builds each learner without settings, in its tuned form; with seed 0 those shipped learn the policy so named."""
 
 _RIG = "gustafsson2016"
 _PROGRAM = "python -m rl.train"
@@ -116,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> list[Policy]:
         options: Any = tyro.cli(
             LinearOptions if linear else DeepOptions,
             args=arguments if which.rig else [*arguments, "--rig", _RIG],
-            description=f"{__doc__}\n\nThe linear learners are {', '.join(LINEAR)}.",
+            description=f"{__doc__}\n\nWithout settings are {', '.join(LINEAR)}.",
             prog=_PROGRAM,
             registry=registry,
         )

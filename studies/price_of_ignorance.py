@@ -1,9 +1,9 @@
 """What is knowledge of the plant worth, in seconds of experience until the swing-up is learned?
 
-Method: learners that are told more or less of the plant, on pilco2011 (20 N, held for .05 s, noise of .01 on all that is
-measured) and on gustafsson2016 held for .05 s, exact; ten seeds, episodes of five seconds from hanging, ±0.1 rad, the
-first of random forces.  A swing-up succeeds if over its last second the cart is within .5 m of the middle and the tip
-within .1 m of upright.  Recorded are the experience and processor time until the first episode that succeeds, and until
+Method: learners that are told more or less of the plant, on pilco2011 (20 N, held for .05 s, noise of .01 on all
+measurements) and on gustafsson2016 held for .05 s, exact; ten seeds, episodes of five seconds from hanging, ±0.1 rad,
+the first of random forces.  A swing-up succeeds if over its last second cart and tip are within .5 m and .1 m of
+their places upright.  Recorded are the experience and processor time until the first episode that succeeds, and until
 the second of two policies in a row that each swing up at least 90 % of 50 fresh starts.  PPO and DDPG are those of
 ``docs/results/deep_swing_up``; PILCO's mark is the experience of 20 to 30 trials of 5 s, as published in 2011.
 

@@ -110,13 +110,25 @@ def m():
         ("dpend", "studies"),
         ("controllers", "rl"),
         ("controllers", "studies"),
-        ("rl", "controllers"),
         ("rl", "studies"),
         *((package, outside) for package in PACKAGES for outside in ("tests", "benchmarks", "examples")),
     ],
 )
 def test_imports_run_one_way_from_studies_over_controllers_and_learning_to_the_rig(package: str, stranger: str) -> None:
     assert not {name for name in importers(stranger) if name.startswith(f"{package}/")}
+
+
+def test_of_learning_only_what_plans_knows_a_controller_and_that_is_ilqr() -> None:
+    planning = {f"rl/{name}.py" for name in ("model_based", "identify_plan", "harmonic", "kernel_model")}
+    known = {
+        found.module
+        for name, path in SOURCES.items()
+        if name.startswith("rl/")
+        for found in imports(path)
+        if found.module.startswith("controllers")
+    }
+    assert {name for name in importers("controllers") if name.startswith("rl/")} <= planning
+    assert known <= {"controllers.ilqr", "controllers.ilqr_kernels"}
 
 
 def test_the_equations_import_nothing() -> None:

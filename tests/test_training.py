@@ -10,15 +10,18 @@ import pytest
 
 import dpend
 from dpend.archive import read
+from dpend.controller import is_batched
 from rl import (
     LSPI,
     Cost,
     GainPolicy,
     GaussianQAC,
+    IdentifyAndPlan,
     Learner,
     LinearQLearning,
     NaturalQAC,
     Outcome,
+    PlannedPolicy,
     QuadraticQLearning,
     Training,
     load_policy,
@@ -89,12 +92,15 @@ BUILD: dict[str, Callable[[Any], Any]] = {
     "LSPI": lambda rig: LSPI(rig),
     "one-step Q": lambda rig: QuadraticQLearning(rig, record_every=70),
     "cross-entropy": lambda rig: CrossEntropy(rig),
+    "identify and plan": lambda rig: IdentifyAndPlan(rig),
 }
 SECONDS = 100.0  # enough for a few episodes, and for all but the acceptance tests of tuned Q-learning
 every_learner = pytest.mark.parametrize("build", BUILD.values(), ids=list(BUILD))
 
 
 def weights(policy):
+    if isinstance(policy, PlannedPolicy):
+        return np.array(policy.rig.params.coefficients())
     return next(getattr(policy, name) for name in ("K", "weights", "v") if hasattr(policy, name))
 
 
@@ -170,8 +176,9 @@ def test_snapshots_are_policies_in_the_order_of_their_experience_and_the_last_is
         assert experience == sorted(experience)
         assert 0 < experience[-1] <= training.experience
         for snapshot in snapshots:
-            force = snapshot.policy.start(3, np.random.default_rng(0))(0.0, np.full((3, 6), 0.01))
-            assert force.shape == (3,)
+            n = 3 if is_batched(snapshot.policy) else 1
+            force = snapshot.policy.start(n, np.random.default_rng(0))(0.0, np.full((n, 6), 0.01))
+            assert force.shape == (n,)
     if training.outcome is not Outcome.DIVERGED and training.cost.steps == training.curve["length"].sum():
         np.testing.assert_array_equal(weights(snapshots[-1].policy), weights(training.policy))
 
@@ -184,9 +191,10 @@ def test_the_policy_saves_and_loads_with_its_origin(build, tmp_path):
     assert type(back) is type(policy)
     assert back.about["seed"] == 2
     assert read(file, "dpend policy 2")[0]["about"] == back.about
-    y = np.random.default_rng(0).normal(size=(9, 6))
+    n = 9 if is_batched(policy) else 1
+    y = np.random.default_rng(0).normal(size=(n, 6))
     laws: list[Any] = [policy, back]
-    one, other = (law.start(9, np.random.default_rng(0))(0.0, y) for law in laws)
+    one, other = (law.start(n, np.random.default_rng(0))(0.0, y) for law in laws)
     np.testing.assert_array_equal(one, other)
 
 
