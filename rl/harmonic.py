@@ -7,11 +7,12 @@ Mechanics of two links on a cart give accelerations
     u, \dot p, \dot\theta_1, \dot\theta_2),
 
 whatever masses, lengths and viscous friction are.  Each :math:`c_k` is a Gaussian process with the squared-exponential
-kernel of :math:`(\sin\theta, \cos\theta)`, which is a Fourier series,
+kernel of sines and cosines of :math:`\theta_1`, :math:`\theta_2` and the angle between the links, which is a Fourier
+series,
 
-.. math:: e^{(\cos\Delta_1 - 1)/\ell_1^2 + (\cos\Delta_2 - 1)/\ell_2^2}
-    = \sum_{m,n} w_m(\ell_1)\, w_n(\ell_2) \cos(m\Delta_1 + n\Delta_2), \qquad
-    w_m(\ell) = e^{-1/\ell^2} I_m(1/\ell^2),
+.. math:: \exp\Bigl(\frac{\cos\Delta_1 - 1}{\ell_1^2} + \frac{\cos\Delta_2 - 1}{\ell_2^2}
+    + \frac{\cos(\Delta_1 - \Delta_2) - 1}{\ell_{12}^2}\Bigr)
+    = \sum_{m,n} w_{mn} \cos(m\Delta_1 + n\Delta_2), \qquad w_{mn} \ge 0,
 
 so that, cut off at order 6, the model is linear in 169 functions of the angles times 11 of the rest: a regression whose
 cost does not depend on past data.  Mirror symmetry leaves sines to what is even in rates and force, cosines to what is
@@ -29,7 +30,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve, get_blas_funcs, solve_triangular
 from scipy.optimize import minimize
-from scipy.special import ive
 
 from controllers.ilqr import Model
 from controllers.ilqr_kernels import Flow, make_flow
@@ -39,6 +39,8 @@ from dpend.params import Array
 ORDER = 6
 _EVEN, _PRODUCTS = 7, 11
 _WAVES = np.array([(m, n) for m in range(ORDER + 1) for n in range(-ORDER, ORDER + 1) if m or n > 0])
+_TURN = 2 * math.pi * np.arange(32) / 32
+_GRID = (_TURN[:, None] + 0 * _TURN, 0 * _TURN[:, None] + _TURN, _TURN[:, None] - _TURN)
 _SUBSTEPS = 2
 _POINTS = 300  # for the marginal likelihood
 _CORRECTIONS = 3
@@ -171,6 +173,11 @@ def middles(data: Transitions, h: float) -> Array:
     return mid
 
 
+def three_angles(x: Array) -> Array:
+    """Return the angles (N, 3) of both links, and between them, in states (N, 6)."""
+    return np.column_stack([x[:, 1:3], x[:, 1] - x[:, 2]])
+
+
 def _features(x: Array, u: Array, mirror: bool) -> Array:
     """Return what the weights are of (N, 928 or 1859): sines times products, then cosines times products."""
     q = products(x[:, 3:], u)
@@ -183,11 +190,12 @@ def _features(x: Array, u: Array, mirror: bool) -> Array:
 
 def _variances(hyper: Array, mirror: bool) -> Array:
     """Return the prior variances of the weights of one output."""
-    lengths, amplitudes = np.exp(hyper[:2]), np.exp(2 * hyper[2:-1])
-    w1, w2 = (ive(np.arange(ORDER + 1), length**-2.0) for length in lengths)
-    waves = 2 * w1[_WAVES[:, 0]] * w2[np.abs(_WAVES[:, 1])]
+    per, amplitudes = np.exp(-2 * hyper[:3]), np.exp(2 * hyper[3:-1])
+    theta = np.exp(sum(p * (np.cos(each) - 1) for p, each in zip(per, _GRID, strict=True)))
+    spectrum = np.fft.fft2(theta).real / theta.size
+    waves = 2 * np.maximum(spectrum[_WAVES[:, 0], _WAVES[:, 1]], 0)
     even, odd = (amplitudes[:_EVEN], amplitudes[_EVEN:]) if mirror else (amplitudes, amplitudes)
-    still = np.append(w1[0] * w2[0], waves)
+    still = np.append(spectrum[0, 0], waves)
     return np.concatenate([np.outer(waves, even).ravel(), np.outer(still, odd).ravel()])
 
 
@@ -199,8 +207,8 @@ class HarmonicModel:
     ----------
     weights : ndarray (3, F)
         Posterior means, for each acceleration.
-    hyper : ndarray (3, 14)
-        Logarithms of the length scales of both angles, the amplitudes of eleven products, and the noise.
+    hyper : ndarray (3, 15)
+        Logarithms of three length scales (both angles, and that between the links), eleven amplitudes, and the noise.
     inputs : ndarray (N, 7)
         States at the middles of the samples, and forces.
     excess : ndarray (N, 3)
@@ -283,19 +291,17 @@ class HarmonicModel:
         q = products(mid[:, 3:], data.u)
         features = _features(mid, data.u, mirror)
         center = _prior_center(size, np.sqrt(np.mean(q**2, axis=0)))
-        hyper = center.copy() if before is None else before.hyper
+        hyper = (center if before is None else before.hyper).copy()
         excess = np.full(gained.shape, 2.0)
         target = gained
         for learn in (before is None, True, False):
             if learn:
                 rows = np.sort(rng.permutation(len(mid))[:_POINTS])
-                hyper = np.stack(
-                    [
-                        _most_likely(mid[rows, 1:3], q[rows], target[rows, d] / size[d], excess[rows, d], mirror,
-                                     *_relative(hyper[d], center[d], size[d]), math.log(size[d]))
-                        for d in range(3)
-                    ]
-                )  # fmt: skip
+                angles, shift = three_angles(mid[rows]), np.log(size)
+                for d in range(3):
+                    scaled = target[rows, d] / size[d], excess[rows, d]
+                    around = _shifted(hyper[d], -shift[d]), _shifted(center[d], -shift[d])
+                    hyper[d] = _shifted(_most_likely(angles, q[rows], *scaled, mirror, *around), shift[d])
             weights, target, slopes = _posterior(data, mid, gained, size, features, hyper, excess, h, mirror)
             excess = _excess(slopes, h)
         inputs = np.column_stack([mid, data.u])
@@ -345,20 +351,19 @@ class Tracker:
 
 def _prior_center(size: Array, products_size: Array) -> Array:
     """Return the medians of the hyperparameters: amplitudes that would each give half the accelerations seen."""
-    center = np.empty((3, 3 + _PRODUCTS))
-    center[:, :2] = math.log(1.2)
-    center[:, 2:-1] = np.log(0.5 * size[:, None] / (products_size + 1e-9))
+    center = np.empty((3, 4 + _PRODUCTS))
+    center[:, :3] = math.log(1.2)
+    center[:, 3:-1] = np.log(0.5 * size[:, None] / (products_size + 1e-9))
     center[:, -1] = np.log(0.1 * size)
     return center
 
 
-_SPREAD = np.array([0.5, 0.5, *[1.5] * _PRODUCTS, 2.0])
+_SPREAD = np.array([*[0.8] * 3, *[1.5] * _PRODUCTS, 2.0])
 
 
-def _relative(hyper: Array, center: Array, size: float) -> tuple[Array, Array]:
-    """Return hyperparameters and their medians for targets of unit size."""
-    shift = np.append(np.zeros(2), np.full(_PRODUCTS + 1, math.log(size)))
-    return hyper - shift, center - shift
+def _shifted(hyper: Array, shift: float) -> Array:
+    """Return hyperparameters for targets in other units: all but the length scales change by a logarithm."""
+    return np.concatenate([hyper[:3], hyper[3:] + shift])
 
 
 def _posterior(
@@ -406,7 +411,7 @@ def _factor(scaled: Array, noise: Array) -> Array:
 
 
 def _most_likely(
-    angles: Array, q: Array, target: Array, excess: Array, mirror: bool, start: Array, center: Array, log_size: float
+    angles: Array, q: Array, target: Array, excess: Array, mirror: bool, start: Array, center: Array
 ) -> Array:
     """Return the hyperparameters of greatest posterior density, given targets of unit size."""
     less = [np.cos(each[:, None] - each) - 1 for each in angles.T]
@@ -415,20 +420,20 @@ def _most_likely(
 
     def kernels(h: Array) -> tuple[list[Array], list[list[Array]]]:
         """Return the kernels of the coefficients of even and odd products, and their slopes by the log lengths."""
-        per = np.exp(-2 * h[:2])
-        near = np.exp(per[0] * less[0] + per[1] * less[1])
-        by_near = [-2 * per[i] * less[i] * near for i in range(2)]
+        per = np.exp(-2 * h[:3])
+        near = np.exp(sum(per[i] * less[i] for i in range(3)))
+        by_near = [-2 * per[i] * less[i] * near for i in range(3)]
         if not mirror:
             return [near, near], [by_near, by_near]
-        far = np.exp(per[0] * sum_[0] + per[1] * sum_[1])
-        by_far = [-2 * per[i] * sum_[i] * far for i in range(2)]
+        far = np.exp(sum(per[i] * sum_[i] for i in range(3)))
+        by_far = [-2 * per[i] * sum_[i] * far for i in range(3)]
         pairs = list(zip(by_near, by_far, strict=True))
         return [(near - far) / 2, (near + far) / 2], [[(a - b) / 2 for a, b in pairs], [(a + b) / 2 for a, b in pairs]]
 
     parts = slice(0, _EVEN), slice(_EVEN, _PRODUCTS)
 
     def loss(h: Array) -> tuple[float, Array]:
-        amplitude, noise = np.exp(2 * h[2:-1]), np.exp(2 * h[-1])
+        amplitude, noise = np.exp(2 * h[3:-1]), np.exp(2 * h[-1])
         theta, slopes = kernels(h)
         gram = [(q[:, part] * amplitude[part]) @ q[:, part].T for part in parts]
         K = gram[0] * theta[0] + gram[1] * theta[1]
@@ -438,18 +443,17 @@ def _most_likely(
         alpha = inverse @ target
         W = inverse - np.outer(alpha, alpha)
         slope = np.empty(len(h))
-        for i in range(2):
+        for i in range(3):
             slope[i] = 0.5 * np.vdot(W, gram[0] * slopes[0][i] + gram[1] * slopes[1][i])
         for part, each in zip(parts, theta, strict=True):
             columns = q[:, part]
-            slope[2:-1][part] = amplitude[part] * np.einsum("ij,ij->j", columns, (W * each) @ columns)
+            slope[3:-1][part] = amplitude[part] * np.einsum("ij,ij->j", columns, (W * each) @ columns)
         slope[-1] = noise * (W.diagonal() @ excess)
         away = (h - center) / _SPREAD
         value = 0.5 * target @ alpha + np.log(factor[0].diagonal()).sum() + 0.5 * away @ away
         return float(value), slope + away / _SPREAD
 
-    bounds = [(math.log(0.5), math.log(4.0))] * 2 + [(c - 7, c + 4) for c in center[2:-1]] + [(math.log(_JITTER), 1.0)]
+    bounds = [(math.log(0.5), math.log(20.0))] * 3 + [(c - 7, c + 4) for c in center[3:-1]] + [(math.log(_JITTER), 1.0)]
     limits = np.array(bounds).T
     found = minimize(loss, np.clip(start, *limits), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 40})
-    shift = np.append(np.zeros(2), np.full(_PRODUCTS + 1, log_size))
-    return found.x + shift
+    return found.x

@@ -81,7 +81,7 @@ class ModelPolicy(Saved):
         nothing = Params(cart_mass=1, mass1=1, mass2=1, length1=1, length2=1)  # which a plan on a model does not read
         rig = Rig(params=nothing, sample_time=self.sample_time, force_limit=self.force_limit,
                   track_limit=self.track_limit)  # fmt: skip
-        return ILQRMPC(rig, model=self.model.model)
+        return ILQRMPC(rig, model=self.model.model, starts=8)
 
     def attributed(self, about: Mapping[str, Any] | None) -> ModelPolicy:
         """Return the same policy with a provenance."""
@@ -304,7 +304,7 @@ class ModelBased:
     cart_invariance: bool = True
     mirror: bool = True
     structure: bool = True
-    online: bool = True
+    online: bool = False
     episode_seconds: float = 5.0
     angle_spread: float = 0.1
     episodes: int = 12

@@ -34,7 +34,7 @@ def moved(episodes: int, seed: int, rig: dpend.Rig = RIG) -> Transitions:
 
 def random_harmonic(mirror: bool, rng: np.random.Generator) -> HarmonicModel:
     """Return a model drawn from the prior."""
-    hyper = np.tile(np.concatenate([np.log([1.0, 0.8]), np.full(11, -0.5), [-1.0]]), (3, 1))
+    hyper = np.tile(np.concatenate([np.log([1.2, 2.0, 1.0]), np.full(11, -0.5), [-1.0]]), (3, 1))
     std = np.sqrt([harmonic._variances(row, mirror) for row in hyper])
     inputs = np.column_stack([random_states(rng, 20), rng.uniform(-5, 5, 20)])
     excess = rng.uniform(1, 3, (20, 3))
@@ -105,14 +105,15 @@ def test_a_model_is_what_its_arrays_say(build: Any) -> None:
 def test_the_harmonics_stand_for_the_kernel_of_sine_and_cosine(mirror: bool) -> None:
     rng = np.random.default_rng(0)
     x, u = random_states(rng, 30), rng.uniform(-3, 3, 30)
-    hyper = np.concatenate([np.log([1.0, 0.8]), rng.normal(0, 0.3, 11), [0.0]])
+    hyper = np.concatenate([np.log([1.2, 2.0, 1.0]), rng.normal(0, 0.3, 11), [0.0]])
     features = harmonic._features(x, u, mirror)
     assert features.shape[1] == (928 if mirror else 1859)
 
     def kernel(sign: float) -> Array:
-        theta = sum((np.cos(x[:, i, None] - sign * x[:, i]) - 1) / np.exp(2 * hyper[i - 1]) for i in (1, 2))
+        angles = zip(harmonic.three_angles(x).T, np.exp(2 * hyper[:3]), strict=True)
+        theta = sum((np.cos(angle[:, None] - sign * angle) - 1) / squared for angle, squared in angles)
         q, other = harmonic.products(x[:, 3:], u), harmonic.products(sign * x[:, 3:], sign * u)
-        return np.exp(theta) * ((q * np.exp(2 * hyper[2:-1])) @ other.T)
+        return np.exp(theta) * ((q * np.exp(2 * hyper[3:-1])) @ other.T)
 
     wanted = (kernel(1.0) - kernel(-1.0)) / 2 if mirror else kernel(1.0)
     found = (features * harmonic._variances(hyper, mirror)) @ features.T
@@ -135,9 +136,9 @@ def test_the_slopes_of_the_marginal_likelihood_are_those_of_finite_differences(
     module: Any = harmonic if kind == "harmonic" else kernel_model
     monkeypatch.setattr(module, "minimize", capture)
     if kind == "harmonic":
-        center = np.concatenate([np.log([1.0, 0.8]), rng.normal(-1, 0.3, 11), [-1.0]])
+        center = np.concatenate([np.log([1.2, 2.0, 1.0]), rng.normal(-1, 0.3, 11), [-1.0]])
         q, excess = harmonic.products(x[:, 3:], u), rng.uniform(1, 3, 25)
-        arguments: Any = (x[:, 1:3], q, y, excess, mirror, center, center + 0.3, 0.0)
+        arguments: Any = (harmonic.three_angles(x), q, y, excess, mirror, center, center + 0.3)
     else:
         z = kernel_model._inputs(x, u, told := Told(True, True, False, mirror))
         center = np.append(np.full(z.shape[1], 0.7), [0.3, -1.0])
