@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,8 @@ from dpend.tasks import SwingUp
 
 from .model_based import episodes_of, excited_rig, practise, practised
 from .policies import Saved
-from .training import Progress, Seed, Session, Training, check_settings
+from .settings import Nonnegative, Positive, Whole, at_least, check_settings, must
+from .training import Progress, Seed, Session, Training
 
 _STREAM = 1999  # sets learning apart from starts drawn with the same seed
 _GUESSED = ("cart_mass", "mass1", "mass2", "length1", "length2")
@@ -97,31 +98,19 @@ class IdentifyAndPlan:
         Length of the first episode, of random forces, s; it is repeated where the data do not determine the rig.
     episode_seconds, angle_spread, episodes, streak
         As of :class:`ModelBased`.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range, or the rig is not such.
     """
 
     rig: Rig = field(kw_only=False)
-    unknown: float = 0.3
-    motion: float = 2.0
-    episode_seconds: float = 5.0
-    angle_spread: float = 0.1
-    episodes: int = 6
-    streak: int = 2
+    unknown: Annotated[float, must("at least 0 and below 1", lambda share: 0 <= share < 1)] = 0.3
+    motion: Annotated[Positive, at_least(2 * _SEGMENT, " s")] = 2.0
+    episode_seconds: Positive = 5.0
+    angle_spread: Nonnegative = 0.1
+    episodes: Whole = 6
+    streak: Whole = 2
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rig", excited_rig(self.rig, "IdentifyAndPlan"))
-        check_settings(
-            self,
-            ("unknown", 0 <= self.unknown < 1, "at least 0 and below 1"),
-            ("motion", self.motion >= 2 * _SEGMENT, f"at least {2 * _SEGMENT:g} s"),
-            whole=("episodes", "streak"),
-            positive=("motion", "episode_seconds"),
-            nonnegative=("angle_spread",),
-        )
+        check_settings(self)
 
     @property
     def task(self) -> SwingUp:

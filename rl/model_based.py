@@ -31,7 +31,8 @@ from dpend.tasks import SwingUp
 from .harmonic import HarmonicModel, Tracker, Transitions
 from .kernel_model import KernelModel, Told
 from .policies import Saved
-from .training import Outcome, Progress, Seed, Session, Training, check_settings
+from .settings import Nonnegative, Positive, Whole, check_settings
+from .training import Outcome, Progress, Seed, Session, Training
 
 _STREAM = 2011  # sets learning apart from starts drawn with the same seed
 _REACH, _TIP = 0.5, 0.1  # m: of the cart from the middle, and of the tip from upright, where a swing-up has settled
@@ -291,11 +292,6 @@ class ModelBased:
         Greatest number of them.
     streak : int
         So many successful episodes in a row end the training.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range, or the rig is not such.
     """
 
     rig: Rig = field(kw_only=False)
@@ -305,21 +301,19 @@ class ModelBased:
     mirror: bool = True
     structure: bool = True
     online: bool = False
-    episode_seconds: float = 5.0
-    angle_spread: float = 0.1
-    episodes: int = 12
-    streak: int = 3
+    episode_seconds: Positive = 5.0
+    angle_spread: Nonnegative = 0.1
+    episodes: Whole = 12
+    streak: Whole = 3
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rig", excited_rig(self.rig, "ModelBased"))
-        needed = self.angles and self.second_order and self.cart_invariance
-        check_settings(
-            self,
-            ("structure", needed or not self.structure, "False without angles, second_order and cart_invariance"),
-            whole=("episodes", "streak"),
-            positive=("episode_seconds",),
-            nonnegative=("angle_spread",),
-        )
+        check_settings(self)
+        if self.structure and not (self.angles and self.second_order and self.cart_invariance):
+            raise ValueError(
+                "structure is stated in angles, accelerations and no position: expected it to be False without angles, "
+                "second_order and cart_invariance; got True."
+            )
 
     @property
     def task(self) -> SwingUp:

@@ -28,7 +28,7 @@ from . import _runner
 from ._closure import kept_table
 from ._estimates import mean_share, median
 from ._figures import COLOURS, facets, legend_above, log_axis
-from ._runner import Plant, Report, Result, Table, read_rows, where
+from ._runner import Plant, Positive, Report, Result, Table, read_rows, where
 from ._tables import Value, sheet
 
 MINUTES = 300
@@ -57,16 +57,15 @@ _STREAM = 1014  # sets these starts apart from those of learning
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: int = 10
+    trainings: Positive = 10
     """Seeds of each learner."""
-    starts: int = 50
+    starts: Positive = 50
     """Fresh starts on which a policy is evaluated."""
     only: tuple[str, ...] = ()
     """What the learners that take part are told, such as "structure, mirror"; left out, all."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.check_least(1, "trainings", "starts")
         for name in self.only:
             if name not in TOLD:
                 raise ValueError(f"--only: no learner is told {name!r}; known: {'; '.join(TOLD)}.")

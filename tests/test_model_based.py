@@ -256,7 +256,8 @@ def test_two_seconds_of_motion_and_the_equations_swing_up(preset: str) -> None:
         (IdentifyAndPlan, {"rig": RIG.replace(sensor_delay=1)},
          "IdentifyAndPlan takes a rig without lag, delay, rounding or noise of the force; got one with."),
         (ModelBased, {"angles": False},
-         "structure must be False without angles, second_order and cart_invariance; got True."),
+         "structure is stated in angles, accelerations and no position: expected it to be False without angles, "
+         "second_order and cart_invariance; got True."),
         (ModelBased, {"episodes": 0}, "episodes must be a whole number, at least 1; got 0."),
         (IdentifyAndPlan, {"unknown": 1.0}, "unknown must be at least 0 and below 1; got 1.0."),
         (IdentifyAndPlan, {"motion": 0.5}, "motion must be at least 1 s; got 0.5."),
