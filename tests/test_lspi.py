@@ -100,7 +100,9 @@ def test_from_no_gain_and_no_model_it_finds_the_gain_of_the_linearised_plant():
 
 
 def test_the_shipped_gain_is_that_of_the_discounted_cost_and_a_ninth_away_from_that_of_lqr():
-    K = load_policy("lspi").K[None]
+    policy = load_policy("lspi")
+    assert isinstance(policy, GainPolicy)
+    K = policy.K[None]
     assert gain_errors(K, best_gain(LSPI(RIG)))[0] < 0.002
     assert gain_errors(K, best_gain(replace(LSPI(RIG), gamma=1.0)))[0] == pytest.approx(0.115, abs=0.001)
 
