@@ -38,13 +38,26 @@ from controllers.tuning import TuningCost
 from dpend import Controller, Rig
 from dpend.controller import check_controller, is_batched
 from dpend.params import Array
-from rl import GainPolicy, LinearQPolicy, MLPPolicy, Network, TableOneMean
+from dpend.rig import ideal_rig
+from rl import GainPolicy, LinearQPolicy, MLPPolicy, ModelPolicy, Network, PlannedPolicy, TableOneMean
+from rl.kernel_model import KernelModel, Told, Transitions
 
 
 def random_network() -> Network:
     """Return a small network that sees a state and its own last action."""
     rng = np.random.default_rng(0)
     return Network([rng.normal(size=(16, 9)), rng.normal(size=(1, 16))], [rng.normal(size=16), [0.1]])
+
+
+def small_model(rig: Rig) -> KernelModel:
+    """Return a model fitted to twenty samples of the plant near upright."""
+    rng = np.random.default_rng(0)
+    x, u = 0.3 * rng.standard_normal((20, 6)), min(float(rig.force_limit), 50.0) * rng.uniform(-1, 1, 20)
+    plant = dpend.Stepper(ideal_rig(rig), 20)
+    plant.reset(x)
+    plant.step(u)
+    data = Transitions(x, u, plant.x)
+    return KernelModel.fit(data, rig.sample_time, Told(True, True, True, True), rng, None)
 
 
 # What cannot be built from a rig alone; every other class with a method `start` must be.
@@ -64,6 +77,13 @@ RECIPES: dict[str, Callable[[Rig], Any]] = {
     "MLPPolicy": lambda rig: MLPPolicy(
         random_network(), scales=np.ones(4), force_limit=min(float(np.max(rig.force_limit)), 50.0), period=0.03
     ),
+    "ModelPolicy": lambda rig: ModelPolicy(
+        small_model(rig),
+        sample_time=rig.sample_time,
+        force_limit=float(rig.force_limit),
+        track_limit=float(rig.track_limit),
+    ),
+    "PlannedPolicy": lambda rig: PlannedPolicy(rig),
     "WithEstimator": lambda rig: WithEstimator(EKF(rig), LQR(rig)),
 }
 NAMES = sorted(
@@ -226,7 +246,7 @@ def assert_same_forces(found: Array, expected: Array) -> None:
     assert_allclose(found, expected, rtol=0, atol=1e-6 * max(1.0, np.abs(expected).max()))
 
 
-OWN = [pair for pair in PAIRS if pair.values[0][0] in controllers.__all__]  # type: ignore[index,operator]
+OWN = [pair for pair in PAIRS if pair.values[0][0] in (*controllers.__all__, "ModelPolicy", "PlannedPolicy")]  # type: ignore[index,operator]
 
 
 @pytest.mark.parametrize("pair", OWN, indirect=True)
