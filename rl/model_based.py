@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 import dpend
 from controllers.ilqr import ILQRMPC
@@ -188,6 +189,7 @@ def episodes_of(learner: Any) -> SwingUp:
     return SwingUp(angle_spread=learner.angle_spread, steps=steps)
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # more round differently, and wait for one another on busy cores
 def practise(
     learner: Any, session: Session, first: int, fit: Callable[[list[Run], Policy | None], Policy | None]
 ) -> tuple[list[Run], list[Policy], list[int], list[bool]]:

@@ -11,6 +11,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from rigs import random_states, whole
 from scipy.linalg import cho_solve
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import dpend
 from dpend.params import Array
@@ -217,6 +218,17 @@ def test_random_forces_keep_to_the_limit_and_the_cart_near_the_middle() -> None:
     assert np.abs(data.u).max() <= RIG.force_limit
     assert data.u.std() > 0.2 * RIG.force_limit
     assert np.abs(data.x[:, 0]).max() < 4.0
+
+
+def test_a_model_is_fitted_on_one_thread_and_the_callers_number_stays() -> None:
+    def threads() -> set[int]:
+        return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+    seen: list[set[int]] = []
+    with threadpool_limits(2, "blas"):
+        ModelBased(RIG, structure=False, episodes=1).train(0, seconds=1.0, progress=lambda _: seen.append(threads()))
+        assert {1} in seen
+        assert threads() == {2}
 
 
 @pytest.mark.slow
