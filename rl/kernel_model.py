@@ -114,26 +114,20 @@ def _step(x, u, c):
 
 
 def _linearize(x, u, c, D):
-    E = c.alpha.shape[1]
+    E, n, j = c.alpha.shape[1], c.z.shape[1], 0 if c.cart_invariance else 1
     D[:] = 0.0
     for k in range(len(u)):
         now = (x[k, 0], x[k, 1], x[k, 2], x[k, 3], x[k, 4], x[k, 5])
-        change, slopes = np.zeros(E), np.zeros((E, c.z.shape[1]))
+        change, slopes = np.zeros(E), np.zeros((E, n))
         _changes(_seen(now, u[k], c), c, change, slopes)
-        j = 0 if c.cart_invariance else 1
         for e in range(E):
-            row = e + 6 - E
+            row, by = 6 - E + e, slopes[e]
+            D[k, row, 0] = j * by[0]
+            for i in range(2):
+                th = now[1 + i]
+                D[k, row, 1 + i] = by[j + i] * cos(th) - by[j + 2 + i] * sin(th) if c.angles else by[j + i]
             for i in range(4):
-                D[k, row, 3 + i] = slopes[e, len(slopes[e]) - 4 + i]
-            if c.angles:
-                for i in range(2):
-                    th = now[1 + i]
-                    D[k, row, 1 + i] = slopes[e, j + i] * cos(th) - slopes[e, j + 2 + i] * sin(th)
-            else:
-                for i in range(2):
-                    D[k, row, 1 + i] = slopes[e, j + i]
-            if not c.cart_invariance:
-                D[k, row, 0] = slopes[e, 0]
+                D[k, row, 3 + i] = by[n - 4 + i]
             D[k, row, row] += 1.0
         if E == 3:
             for i in range(3):
