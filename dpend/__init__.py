@@ -6,6 +6,9 @@ and, as the shipped deep policies saw them, ``dpend/BalanceShaped-v0`` and ``dpe
 loads nothing heavier than numpy and Gymnasium.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 import gymnasium
 
 from .controller import Act, Controller, LawError
@@ -20,6 +23,9 @@ from .state import EQUILIBRIA, NAMES, nearest_upright, wrap
 from .status import Status
 from .stepper import Stepper
 from .tasks import Balance, SwingUp, Task
+
+if TYPE_CHECKING:
+    from .check import check_controller, check_learner
 
 __all__ = [
     "EQUILIBRIA",
@@ -37,6 +43,8 @@ __all__ = [
     "Stepper",
     "SwingUp",
     "Task",
+    "check_controller",
+    "check_learner",
     "discretize",
     "energies",
     "identify",
@@ -61,3 +69,10 @@ for _id, _name in (
     gymnasium.register(
         f"dpend/{_id}-v0", entry_point=f"dpend.env:{_name}", vector_entry_point=f"dpend.vector_env:{_name}_vector"
     )
+
+
+def __getattr__(name: str) -> Any:
+    if name not in ("check", "check_controller", "check_learner"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module = import_module(".check", __name__)  # which python -m dpend.check must be the first to load
+    return module if name == "check" else getattr(module, name)

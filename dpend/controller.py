@@ -30,6 +30,9 @@ class Controller(Protocol):
     one run at a time says so with a class attribute ``batched = False`` and is then started once for each row.  It is
     still given rows, ``(1, 6)``, the state being ``y[0]``: all laws are called alike, so that wrappers, estimators and
     switches serve each.  Only a plain function is given a state ``(6,)``.
+
+    ``mirrored = True`` claims that mirrored measurements have mirrored forces, :math:`u(-y) = -u(y)`.
+    ``dpend.check_controller`` holds a controller to this, and to what all of them keep to.
     """
 
     def start(self, n: int, rng: np.random.Generator) -> Act:

@@ -157,6 +157,7 @@ def inside(name: str) -> set[str]:
         ("stepper", {"arguments", "kernels", "params", "rig", "state"}),
         ("controller", {"params"}),
         ("workers", {"arguments"}),
+        ("check", {"arguments", "controller", "params", "rig", "simulate", "stepper", "suggest", "tasks"}),
     ],
 )
 def test_within_the_rig_each_module_knows_only_what_it_stands_on(name: str, allowed: set[str]) -> None:
