@@ -38,6 +38,7 @@ from dpend import Controller, Rig
 from dpend.check import (
     CONTROLLER_CHECKS,
     ControllerCheck,
+    a_step_takes_less_than_a_sample,
     answers,
     measurements,
     mirrored_forces,
@@ -114,20 +115,22 @@ def built(name: str, preset: str) -> Any:
         return refusal
 
 
-# Learned laws of raw angles, which know nothing but what is measured, are not held to these two.
-RAW = {"GainPolicy", "LinearQPolicy", "MLPPolicy", "TableOneMean"}
-TAUGHT = {whole_turns_change_nothing, missing_measurements_are_survived}
-ONE_SIDED = {
-    "Constant",
-    "MLPPolicy",
-    "TVLQR",
-    "TableOneMean",
-}  # by a force, weights, a way up
+# Learned laws that know only what is measured; one of them takes angles as they are.
+EXEMPT = {
+    "GainPolicy": {missing_measurements_are_survived},
+    "TableOneMean": {missing_measurements_are_survived},
+    "LinearQPolicy": {missing_measurements_are_survived, whole_turns_change_nothing},
+}
+# NMPC's solver takes a second for each plant; the fast tests try a strong actuator and a weak one.
+QUICK = ("gustafsson2016", "dompc_dip")
+COSTLY = {mirrored_forces, a_step_takes_less_than_a_sample}
+# By a force, by weights, by the way up.
+ONE_SIDED = {"Constant", "MLPPolicy", "TableOneMean", "TVLQR"}
 
 
 def checks_of(name: str) -> list[ControllerCheck]:
     """Return the checks that a controller is under."""
-    checks = [check for check in CONTROLLER_CHECKS if not (name in RAW and check in TAUGHT)]
+    checks = [check for check in CONTROLLER_CHECKS if check not in EXEMPT.get(name, ())]
     return checks if name in ONE_SIDED else [*checks, mirrored_forces]
 
 
@@ -139,8 +142,7 @@ def checks_of(name: str) -> list[ControllerCheck]:
             name,
             preset,
             id=f"{check.__name__}-{name}-{preset}",
-            # Its solver takes a second for each plant; the fast tests try a strong actuator and a weak one.
-            marks=[pytest.mark.slow] if name == "NMPC" and preset not in ("gustafsson2016", "dompc_dip") else [],
+            marks=[pytest.mark.slow] if preset not in QUICK and (name == "NMPC" or check in COSTLY) else [],
         )
         for preset in dpend.rigs()
         for name in NAMES
