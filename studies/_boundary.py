@@ -28,12 +28,9 @@ _FINE = np.linspace(-math.pi, math.pi, 7201)[:-1]
 class Boundary(NamedTuple):
     """A region about upright, given by the boundary's distance from it along rays in the plane of both angles."""
 
-    degrees: Array
-    """Directions of the rays ``(n,)``, atan2(θ2, θ1), once round."""
-    low: Array
-    """The farthest start on each that is saved ``(n,)``, rad."""
-    high: Array
-    """The nearest beyond it that is not ``(n,)``, rad."""
+    degrees: Array  # Directions of the rays ``(n,)``, atan2(θ2, θ1), once round.
+    low: Array  # The farthest start on each that is saved ``(n,)``, rad.
+    high: Array  # The nearest beyond it that is not ``(n,)``, rad.
 
     def radius(self, direction: npt.ArrayLike) -> Array:
         """Return the boundary's distance, rad, in directions given as angles, rad: between two rays, cubic."""

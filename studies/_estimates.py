@@ -31,8 +31,7 @@ class Estimate(NamedTuple):
     value: float = math.nan
     """NaN where there is nothing to take it of; a crossing beyond the levels tried is minus or plus infinite."""
     low: float = math.nan
-    high: float = math.nan
-    """The interval's ends, which may be infinite likewise; NaN where there is none."""
+    high: float = math.nan  # The interval's ends, which may be infinite likewise; NaN where there is none.
 
     def written(self, form: str = "", tried: Tried | None = None) -> tuple[str, str]:
         """Return value and interval in words, such as ``("84.5", "[82.1, 86.6]")``, as :func:`number` writes them.
@@ -221,14 +220,10 @@ Quotient = tuple[npt.ArrayLike, npt.ArrayLike]
 class Ranking(NamedTuple):
     """Ranks of ``k`` contenders."""
 
-    order: npt.NDArray[np.int64]
-    """The best first; equals in the order in which they came."""
-    ranks: tuple[Estimate, ...]
-    """One more than the number of those that do better; equals share it."""
-    first: Array
-    """Share of the resamples in which none does better, ``(k,)``."""
-    better: Array
-    """Share of the resamples in which the row's does better than the column's, ``(k, k)``."""
+    order: npt.NDArray[np.int64]  # The best first; equals in the order in which they came.
+    ranks: tuple[Estimate, ...]  # One more than the number of those that do better; equals share it.
+    first: Array  # Share of the resamples in which none does better, ``(k,)``.
+    better: Array  # Share of the resamples in which the row's does better than the column's, ``(k, k)``.
 
 
 def ranking(criteria: Sequence[Sequence[Quotient]], *, resamples: int = 2000, seed: int = 0) -> Ranking:

@@ -53,14 +53,10 @@ class Cost(Enum):
 class PriorKnowledge(NamedTuple):
     """What a contender knew before it began, which comparisons of success leave out."""
 
-    model: str
-    """Whether it was given the equations and their parameters."""
-    reward: str
-    """What it was to make large or small."""
-    starts: str
-    """Where it could begin while it learned."""
-    state: str = "all of it, exact"
-    """What it sees when it acts."""
+    model: str  # Whether it was given the equations and their parameters.
+    reward: str  # What it was to make large or small.
+    starts: str  # Where it could begin while it learned.
+    state: str = "all of it, exact"  # What it sees when it acts.
 
 
 _DESIGNED = PriorKnowledge("equations and parameters", "quadratic cost", "-")
@@ -79,19 +75,15 @@ class Contender:
     name: str
     make: Callable[[Rig, Balance | SwingUp], Controller]
     """Returns the controller for what is believed of the rig, and for a task."""
-    tasks: tuple[TaskName, ...] = ("balance",)
-    """What it can do at all."""
+    tasks: tuple[TaskName, ...] = ("balance",)  # What it can do at all.
     prior_knowledge: PriorKnowledge = _DESIGNED
     style: Style = ("#7F3C8D", "h", "-")
     cost: Cost = Cost.CHEAP
     learner: Callable[[Rig], Learner] | None = None
     """Returns a learner for a rig that is trained in seconds, so that a study may train it itself."""
-    policy: str = ""
-    """Name of the policy that is shipped, of a learner."""
-    trainings: str = ""
-    """Name under which the trainings of one that takes minutes are kept in ``docs/results/deep``."""
-    own: Own | None = None
-    """Of a user's own controller: where it is, and its fingerprint."""
+    policy: str = ""  # Name of the policy that is shipped, of a learner.
+    trainings: str = ""  # Name under which the trainings of one that takes minutes are kept in ``docs/results/deep``.
+    own: Own | None = None  # Of a user's own controller: where it is, and its fingerprint.
 
 
 def _learned(name: str) -> Callable[[Rig, Balance | SwingUp], Controller]:
@@ -201,8 +193,7 @@ class Options(_runner.Options):
 
     controller: tuple[str, ...] = ()
     """Your own controllers: path.py:factory or module:factory; the factory takes the rig, or nothing."""
-    only: tuple[str, ...] = ()
-    """Names of the contenders that take part beside your own; left out, all."""
+    only: tuple[str, ...] = ()  # Names of the contenders that take part beside your own; left out, all.
 
     def __post_init__(self) -> None:
         super().__post_init__()

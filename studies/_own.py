@@ -31,12 +31,9 @@ from ._closure import closure_of_file, combined, file_hash, within_environment
 class Own(NamedTuple):
     """A user's own controller as a job names it."""
 
-    spec: str
-    """``path.py:factory`` or ``module:factory``."""
-    code: str
-    """Hash of its code and of the files that it read."""
-    numbers: str
-    """Hash of the numbers in it."""
+    spec: str  # ``path.py:factory`` or ``module:factory``.
+    code: str  # Hash of its code and of the files that it read.
+    numbers: str  # Hash of the numbers in it.
 
 
 class Loaded(NamedTuple):

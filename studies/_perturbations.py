@@ -38,17 +38,12 @@ class Axis:
     """One way in which a rig gets worse, level by level."""
 
     name: str
-    group: str
-    """Which of RealAIGym's six it belongs to; "nominal" for none of them, "sensors" for those beyond."""
-    levels: tuple[float, ...]
-    """Increasing, the nominal one left out."""
+    group: str  # Which of RealAIGym's six it belongs to; "nominal" for none of them, "sensors" for those beyond.
+    levels: tuple[float, ...]  # Increasing, the nominal one left out.
     changes: Change = lambda levels: {}
-    words: str = ""
-    """What the levels are, with their unit."""
-    pulses: bool = False
-    """Whether pushes grow with the level."""
-    theirs: float = 0.0
-    """Least magnitude that is in RealAIGym's lists too."""
+    words: str = ""  # What the levels are, with their unit.
+    pulses: bool = False  # Whether pushes grow with the level.
+    theirs: float = 0.0  # Least magnitude that is in RealAIGym's lists too.
 
 
 _ERRORS = (-0.25, -0.17, -0.08, 0.08, 0.17, 0.25)

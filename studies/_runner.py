@@ -71,14 +71,11 @@ class Options:
 
     out: Path | None = None
     """Folder for table, figures and unfinished work; left out, results/ and the study's name (and -quick)."""
-    seed: NonNegative = 0
-    """What all randomness is drawn from."""
-    workers: Positive = field(default_factory=lambda: os.cpu_count() or 1)
-    """Processes that share the work."""
+    seed: NonNegative = 0  # What all randomness is drawn from.
+    workers: Positive = field(default_factory=lambda: os.cpu_count() or 1)  # Processes that share the work.
     quick: bool = False
     """A small version that ends in seconds and shows that everything works; its figures mean little."""
-    format: Literal["png", "pdf", "svg"] = "png"
-    """File format of the figures."""
+    format: Literal["png", "pdf", "svg"] = "png"  # File format of the figures.
     fresh: bool = False
     """Compute every job here, also those of the contenders that your own joins, whose results are in docs/results."""
 
@@ -98,10 +95,8 @@ class Options:
 class Plant(NamedTuple):
     """A rig as a job names it: a column of the table by its name, and in the job's key with every number."""
 
-    name: str
-    """That of ``--rig``, and what ``--set`` changed."""
-    definition: str
-    """JSON of all its fields."""
+    name: str  # That of ``--rig``, and what ``--set`` changed.
+    definition: str  # JSON of all its fields.
 
     @property
     def rig(self) -> Rig:
@@ -118,10 +113,8 @@ def _rig(definition: str) -> Rig:
 class OnRig(Options):
     """Options of a study that may be done on any rig: ``options.plant`` is what its jobs hold."""
 
-    rig: str = DEFAULT_RIG
-    """The rig: a preset's name, or a TOML file."""
-    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """Changes of it, such as mass1=.6; repeatable."""
+    rig: str = DEFAULT_RIG  # The rig: a preset's name, or a TOML file.
+    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()  # Changes of it, such as mass1=.6; repeatable.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -179,10 +172,8 @@ class Report:
 class Study(Protocol):
     """What the module of a study holds."""
 
-    MINUTES: float
-    """How long the full study takes on two processors."""
-    Options: type[Options]
-    """The options, a subclass of :class:`Options`."""
+    MINUTES: float  # How long the full study takes on two processors.
+    Options: type[Options]  # The options, a subclass of :class:`Options`.
     Job: type[Any]
     """A frozen dataclass of plain values: all that the result of one unit of work depends on besides the code."""
 

@@ -22,14 +22,10 @@ EDGES = np.geomspace(1e-8, 1e2, 1001)
 class StepTimes(NamedTuple):
     """The times of all steps of some runs."""
 
-    counts: npt.NDArray[np.int64]
-    """Steps in each of the 1000 bins, without the first of a run."""
-    longest: float
-    """The longest of them, s."""
-    late: int
-    """Those that took longer than the sample time."""
-    first: Array
-    """The first step of each run, in which planners plan from nothing, s."""
+    counts: npt.NDArray[np.int64]  # Steps in each of the 1000 bins, without the first of a run.
+    longest: float  # The longest of them, s.
+    late: int  # Those that took longer than the sample time.
+    first: Array  # The first step of each run, in which planners plan from nothing, s.
 
     @classmethod
     def of(cls, runs: dpend.Runs, sample_time: float) -> StepTimes:

@@ -21,10 +21,8 @@ AnyArray = npt.NDArray[Any]
 class Table:
     """What a study found."""
 
-    rows: pd.DataFrame
-    """The number of each row's job, the job's plain fields, and what the job returned."""
-    quick: bool = False
-    """Whether it comes from a quick run, whose sizes are too small to mean much."""
+    rows: pd.DataFrame  # The number of each row's job, the job's plain fields, and what the job returned.
+    quick: bool = False  # Whether it comes from a quick run, whose sizes are too small to mean much.
     by_job: Mapping[int, Mapping[str, AnyArray]] = field(default_factory=dict)
     """Arrays by number of their job and by name."""
 

@@ -31,16 +31,11 @@ _AIR = 2  # letters between columns there
 class Column:
     """One column."""
 
-    heading: str
-    """What stands above it, with its unit."""
-    meaning: str = ""
-    """What it is, in a sentence."""
-    group: str = ""
-    """What columns side by side belong to."""
-    words: bool = False
-    """Whether it holds words, not numbers."""
-    brief: bool = True
-    """Whether it is among those shown in a terminal, where there is no room for all."""
+    heading: str  # What stands above it, with its unit.
+    meaning: str = ""  # What it is, in a sentence.
+    group: str = ""  # What columns side by side belong to.
+    words: bool = False  # Whether it holds words, not numbers.
+    brief: bool = True  # Whether it is among those shown in a terminal, where there is no room for all.
 
 
 @dataclass(frozen=True)
@@ -48,12 +43,9 @@ class Cell:
     """One cell."""
 
     text: str = "–"
-    under: str = ""
-    """What stands smaller beside it, such as an interval."""
-    key: float | None = None
-    """What it is sorted by, infinite where it lies beyond all; left out, its words."""
-    share: float | None = None
-    """What a bar in it shows, 0 to 1."""
+    under: str = ""  # What stands smaller beside it, such as an interval.
+    key: float | None = None  # What it is sorted by, infinite where it lies beyond all; left out, its words.
+    share: float | None = None  # What a bar in it shows, 0 to 1.
 
 
 Value = Cell | Estimate | float | int | str | None
@@ -67,8 +59,7 @@ class Sheet:
     title: str
     columns: Sequence[Column]
     lines: Sequence[Sequence[Cell]]
-    note: str = ""
-    """What stands below it."""
+    note: str = ""  # What stands below it.
 
     def __post_init__(self) -> None:
         for line in self.lines:

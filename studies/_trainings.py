@@ -17,11 +17,9 @@ RUNS = Path("docs/results/deep")
 class Kept(NamedTuple):
     """A training on disk."""
 
-    place: str
-    """The file or folder of its recipe."""
+    place: str  # The file or folder of its recipe.
     seed: int
-    content: str
-    """A hash of what is there."""
+    content: str  # A hash of what is there.
 
     def read(self) -> Training:
         """Return the training."""

@@ -57,12 +57,9 @@ _STREAM = 1014  # sets these starts apart from those of learning
 class Options(_runner.Options):
     """Options of the command line."""
 
-    trainings: Positive = 10
-    """Seeds of each learner."""
-    starts: Positive = 50
-    """Fresh starts on which a policy is evaluated."""
-    only: tuple[str, ...] = ()
-    """What the learners that take part are told, such as "structure, mirror"; left out, all."""
+    trainings: Positive = 10  # Seeds of each learner.
+    starts: Positive = 50  # Fresh starts on which a policy is evaluated.
+    only: tuple[str, ...] = ()  # What the learners that take part are told, such as "structure, mirror"; left out, all.
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -82,14 +82,10 @@ _FROZEN = {1: (_LOOKS[FROZEN][0], "o", ":"), 3: (_LOOKS[FROZEN][0], "D", "--"), 
 class Options(_runner.OnRig):
     """Options of the command line."""
 
-    trainings: Positive = 60
-    """Seeds of each learner."""
-    reading_trainings: Positive = 10
-    """Seeds of each further combination of what the report leaves unstated."""
-    max_episodes: Positive = 2000
-    """Budget of each training."""
-    episodes: Positive = 50
-    """Episodes of each evaluation."""
+    trainings: Positive = 60  # Seeds of each learner.
+    reading_trainings: Positive = 10  # Seeds of each further combination of what the report leaves unstated.
+    max_episodes: Positive = 2000  # Budget of each training.
+    episodes: Positive = 50  # Episodes of each evaluation.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,12 +47,10 @@ class Options(_field.Options):
 
     starts: AtLeastTwo = 100
     """Starts of each setting of the six axes, and a tenth of them of each setting of the sensors."""
-    slow_starts: AtLeastTwo = 5
-    """Starts of those that take long."""
+    slow_starts: AtLeastTwo = 5  # Starts of those that take long.
     plants: int = 256
     """Plants that are wrong in everything at once, a power of two; an eighth of them for those that take long."""
-    all: bool = False
-    """Evaluate those that take long with the sensors too, and NMPC, which takes hours, on everything."""
+    all: bool = False  # Evaluate those that take long with the sensors too, and NMPC, which takes hours, on everything.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,13 +79,10 @@ class Job:
 
     contender: str
     task: TaskName
-    part: str
-    """axes, plants or sensors."""
+    part: str  # axes, plants or sensors.
     axis: str = "-"
-    view: str = "-"
-    """What stands between sensors and controller; a dash where the state is measured."""
-    starts: int
-    """At each level, or on each plant."""
+    view: str = "-"  # What stands between sensors and controller; a dash where the state is measured.
+    starts: int  # At each level, or on each plant.
     plants: int = 0
     seed: int
     own: Own | None

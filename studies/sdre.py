@@ -38,10 +38,8 @@ LAWS = {"LQR": LQR, "SDRE": SDRE}
 class Options(_runner.Options):
     """Options of the command line."""
 
-    lam: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)
-    """Greatest starting angles, rad."""
-    episodes: Positive = 500
-    """Starts at each of them."""
+    lam: tuple[float, ...] = (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)  # Greatest starting angles, rad.
+    episodes: Positive = 500  # Starts at each of them.
 
     def __post_init__(self) -> None:
         super().__post_init__()

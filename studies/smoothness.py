@@ -100,10 +100,8 @@ _LEAST = 0.01  # u_max/s; what varies less is drawn there
 class Options(_field.Options):
     """Options of the command line."""
 
-    starts: AtLeastTwo = 400
-    """Starts of each task; controllers that take long get the first part."""
-    runs: Path = RUNS
-    """Folder of the deep trainings; with --only they are left out."""
+    starts: AtLeastTwo = 400  # Starts of each task; controllers that take long get the first part.
+    runs: Path = RUNS  # Folder of the deep trainings; with --only they are left out.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,8 +116,7 @@ class Job:
     seed: int
     device: str = "none"
     setting: float = 0.0
-    training: int = 0
-    """Seed of a deep training."""
+    training: int = 0  # Seed of a deep training.
     own: Own | None = None
     kept: Kept | None = None
 

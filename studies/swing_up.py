@@ -91,16 +91,11 @@ class Options(_field.Options):
 
     known: ClassVar[tuple[Contender, ...]] = KNOWN
 
-    runs: Positive = 200
-    """Starts of each controller under each condition; a part of them for those that take long."""
-    transfer_runs: Positive = 50
-    """Starts of each transfer."""
-    preset_runs: Positive = 20
-    """Starts on each preset."""
-    all: bool = False
-    """Try every controller under every condition, and NMPC's transfers too."""
-    films: bool = False
-    """Write an animation of each controller's first run from hanging."""
+    runs: Positive = 200  # Starts of each controller under each condition; a part of them for those that take long.
+    transfer_runs: Positive = 50  # Starts of each transfer.
+    preset_runs: Positive = 20  # Starts on each preset.
+    all: bool = False  # Try every controller under every condition, and NMPC's transfers too.
+    films: bool = False  # Write an animation of each controller's first run from hanging.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -120,14 +115,10 @@ class Job:
     target: str = "up-up"
     rig: str = PLANT
     seconds: float = 10.0
-    angle_spread: float = 0.1
-    """Each angle of a start is moved by as much, rad."""
-    plant_error: float = 0.0
-    """Masses and lengths are wrong by up to this share."""
-    encoders: bool = False
-    """Whether encoders with delay are read through an extended Kalman filter."""
-    first: int = 0
-    """The first of the case's runs."""
+    angle_spread: float = 0.1  # Each angle of a start is moved by as much, rad.
+    plant_error: float = 0.0  # Masses and lengths are wrong by up to this share.
+    encoders: bool = False  # Whether encoders with delay are read through an extended Kalman filter.
+    first: int = 0  # The first of the case's runs.
     runs: int
     seed: int
 
