@@ -159,7 +159,7 @@ class Report:
     figures : Figure or mapping of str to Figure
         One figure, or several by what is added to the study's name.
     tables : sequence of Sheet
-        What the terminal shows, as far as there is room, and ``tables.md`` in full.
+        What the terminal shows, as far as there is room, and ``tables.md`` in full; those without lines are left out.
     pages : mapping of str to str
         Texts by their file names.
     """
@@ -167,6 +167,9 @@ class Report:
     figures: Figure | Mapping[str, Figure]
     tables: Sequence[Sheet]
     pages: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tables", [each for each in self.tables if each.lines])
 
 
 class Study(Protocol):

@@ -118,6 +118,11 @@ def sheet(
     return Sheet(title, columns, body, note)
 
 
+def at(lams: Mapping[float, Value]) -> dict[str, Value]:
+    """Return what was found at greatest starting angles λ, rad, by heading."""
+    return {f"λ = {lam:g}": value for lam, value in lams.items()}
+
+
 def markdown(table: Sheet) -> str:
     """Return a table in Markdown, below its title and above its note."""
     body = [[_plain(column.heading) for column in table.columns]]

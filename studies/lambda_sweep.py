@@ -29,27 +29,15 @@ import dpend
 from dpend.tasks import check_lam
 from rl import LinearQLearning
 
-from . import _field, _runner
+from . import _field, _figures, _runner
 from ._basins import basin, plot_basins
 from ._boundary import kept_boundary
 from ._estimates import Estimate, crossing, difference, mean_share, share
 from ._field import CONTENDERS, Contender, Cost, PriorKnowledge, find, styles
-from ._figures import (
-    Curve,
-    Style,
-    best_known,
-    curves,
-    facets,
-    force_traces,
-    forest,
-    intervals,
-    legend_above,
-    mosaic,
-    saved_by_angle,
-)  # fmt: skip
+from ._figures import Curve, Style, best_known, curves, facets, forest, legend_above, mosaic, saved_by_angle
 from ._own import Own
 from ._runner import DEFAULT_RIG, AtLeastTwo, NonNegative, Plant, Positive, Report, Result, Table, where
-from ._tables import Sheet, Value, cell, sheet
+from ._tables import Sheet, Value, at, cell, sheet
 
 MINUTES = 1
 
@@ -96,9 +84,8 @@ class Options(_field.Options, _runner.OnRig):
     lam: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
     trainings: Positive = 10  # Trainings of each learner that learns in seconds.
     episodes: AtLeastTwo = 100  # Starts on which each trained controller is evaluated at each λ.
-    part_of: AtLeastTwo = (
-        250  # Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth.
-    )
+    part_of: AtLeastTwo = 250
+    """Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth."""
     basins: NonNegative = 41  # Points on each side of the maps of what is saved from rest; none for no maps.
     plain: bool = False
     """Add the tuned learner with the plain rule of convergence: 20 successes in a row, no tests, no restarts."""
@@ -303,41 +290,39 @@ def report(table: Table) -> Report:
     lams = sorted(set(table.rows["lam"]))
     success = {name: {lam: saved(table, name, lam) for lam in lams} for name in looks}
     falls = {name: falls_to(table, name) for name in looks}
-    figures = {"": _overview(table, looks, success, falls)}
-    gains = _gains(table, success)
-    if gains:
-        figures["_nonlinearity"] = _plot_gains(success, gains, best(table)[0], looks)
-    maps = {name: np.mean(found, axis=0) for name in looks if (found := table.arrays("basin", contender=name))}
-    if maps:
+    known, known_falls = best(table)
+    figures = {"": _overview(table, looks, success, known, ({BEST_KNOWN: known_falls} if known else {}) | falls)}
+    if gains := _gains(table, success):
+        figures["_nonlinearity"] = _plot_gains(success, gains, known, looks)
+    if maps := {name: np.mean(found, axis=0) for name in looks if (found := table.arrays("basin", contender=name))}:
         figures["_basins"] = plot_basins(maps, known=_default(table))
-    named = {_label(table, name): curve for name, curve in success.items()}
-    by_lam = {BEST_KNOWN: best(table)[0]} | named | {"the report's Table 2": TABLE2 if _default(table) else {}}
-    lines = [{"contender": name} | {f"λ = {lam:g}": of.get(lam) for lam in lams} for name, of in by_lam.items() if of]
-    brief = {"contender", *(f"λ = {lam:g}" for lam in TABLE2)}
-    saves = sheet(
-        "Starts saved, %",
-        lines,
-        ".1%",
-        note="† as shipped, one training" if any("†" in name for name in named) else "",
-        brief=brief,
-    )
-    beyond = [{"contender": name} | {f"λ = {lam:g}": each for lam, each in of.items()} for name, of in gains.items()]
-    title = f"Saved beyond the {BASELINE} law, points, on the starts that both had"
+    named = {BEST_KNOWN: known} | {_label(table, name): curve for name, curve in success.items()}
+    note = "† as shipped, one training" if any("†" in name for name in named) else ""
+    beyond = f"Saved beyond the {BASELINE} law, points, on the starts that both had"
     tables = (
-        saves,
-        sheet("Of the starts that can be saved: saved, %", _of_savable(table, success), ".1%", brief=brief),
-        sheet(title, beyond, "+.1%", brief=brief),
-        _falls_table(table, success, falls),
+        _by_lam("Starts saved, %", named | {"the report's Table 2": _table2(table)}, note=note),
+        _by_lam("Of the starts that can be saved: saved, %", _of_savable(table)),
+        _by_lam(beyond, gains, "+.1%"),
+        _falls_table(table, ({BEST_KNOWN: known} if known else {}) | success, {BEST_KNOWN: known_falls} | falls),
         *_learning_tables(table, success),
     )
-    return Report(figures=figures, tables=[each for each in tables if each.lines])
+    return Report(figures=figures, tables=tables)
+
+
+def _by_lam(title: str, of: Mapping[str, Mapping[float, Value]], form: str = ".1%", note: str = "") -> Sheet:
+    lines = [{"contender": name} | at(curve) for name, curve in of.items() if curve]
+    return sheet(title, lines, form, note=note, brief={"contender", *at(TABLE2)})
+
+
+def _table2(table: Table) -> dict[float, float]:
+    """Return the report's shares at the table's own λ, where it is of the same rig."""
+    return {lam: TABLE2[lam] for lam in TABLE2 if _default(table) and lam in set(table.rows["lam"])}
 
 
 def _overview(
-    table: Table, looks: Mapping[str, Style], success: Mapping[str, Curve], falls: Mapping[str, Falls]
+    table: Table, looks: Mapping[str, Style], success: Mapping[str, Curve], known: Curve, falls: Mapping[str, Falls]
 ) -> Figure:
     lams = list(next(iter(success.values())))
-    known, known_falls = best(table)
     traces = {
         f"{name}, one episode at λ = {_TRACE_LAM:g}": (force, looks[name])
         for name in looks
@@ -360,16 +345,15 @@ def _overview(
         axis.tick_params(labelleft=first)
         if stars and kind == kinds[1]:
             style = ("k", "*", "none")
-            intervals(axis, list(stars), stars.values(), style, label="the report's Table 2", ms=8, zorder=5)
+            _figures.intervals(axis, list(stars), stars.values(), style, label="the report's Table 2", ms=8, zorder=5)
         legend_above(axis, 1, kind)
 
-    order = sorted(falls, key=lambda name: (falls[name][0].value, falls[name][1].value), reverse=True)
-    shown = ({BEST_KNOWN: known_falls} if known else {}) | {name: falls[name] for name in order}
+    order = sorted(falls, key=lambda n: (n == BEST_KNOWN, falls[n][0].value, falls[n][1].value), reverse=True)
     for which in (0, 1):
-        of = {name: each[which] for name, each in shown.items()}
+        of = {name: falls[name][which] for name in order}
         forest(axes["falls"], of, looks, tried=(lams[0], lams[-1]), hollow=which == 1)
     axes["falls"].set_xlabel("λ90 (open) and λ50 (filled), rad")
-    force_traces(axes, traces, float(table.rows["sample_time"].to_numpy()[0]), _TRACE_SECONDS)
+    _figures.force_traces(axes, traces, float(table.rows["sample_time"].to_numpy()[0]), _TRACE_SECONDS)
     return figure
 
 
@@ -403,28 +387,27 @@ def _plot_gains(
     return figure
 
 
-def _of_savable(table: Table, success: Mapping[str, Curve]) -> Iterator[Mapping[str, Value]]:
+def _of_savable(table: Table) -> dict[str, Curve]:
     if not _default(table):
-        return
-    known, lams = savable(table), sorted(set(table.rows["lam"]))
-    for name in success:
+        return {}
+    known, lams, found = savable(table), sorted(set(table.rows["lam"])), {}
+    for name in styles(table.rows["contender"], KNOWN):
         if parts := [(saved.sum(axis=0), known[own].sum(axis=0)) for own, saved in _saved(table, contender=name)]:
-            done, can = np.transpose(parts, (1, 2, 0))  # (L, trainings) each
-            shares = [mean_share(d / np.maximum(c, 1), c) for d, c in zip(done, can, strict=True)]
-            yield {"contender": name} | {f"λ = {lam:g}": each for lam, each in zip(lams, shares, strict=True)}
+            each = zip(lams, *np.transpose(parts, (1, 2, 0)), strict=True)  # (L, trainings) saved, and savable
+            found[name] = {lam: mean_share(done / np.maximum(can, 1), can) for lam, done, can in each}
+    return found
 
 
 def _falls_table(table: Table, success: Mapping[str, Curve], falls: Mapping[str, Falls]) -> Sheet:
-    (known, known_falls), lines = best(table), []
-    for name, curve in (({BEST_KNOWN: known} if known else {}) | dict(success)).items():
-        lams, more = list(curve), None
-        starts = _starts(table)
+    lines = []
+    for name, curve in success.items():
+        lams, starts, more = list(curve), _starts(table), None
         if name != BEST_KNOWN:
             starts = int(np.sum(table.where(contender=name, lam=lams[0])["episodes"]))
-            by_report = {lam: saved(table, name, lam, "successes_report").value - curve[lam].value for lam in lams}
-            gain, lam = max((gain, -lam) for lam, gain in by_report.items())
+            gains = ((saved(table, name, lam, "successes_report").value - curve[lam].value, -lam) for lam in lams)
+            gain, lam = max(gains)
             more = f"+{100 * gain:.1f} at {-lam:g}" if gain > 0 else "the same"
-        lam50, lam90 = (cell(each, ".3f", tried=(lams[0], lams[-1])) for each in falls.get(name, known_falls))
+        lam50, lam90 = (cell(each, ".3f", tried=(lams[0], lams[-1])) for each in falls[name])
         lines.append({"contender": name, "starts": starts, "λ50, rad": lam50, "λ90, rad": lam90, "link 1 alone": more})
     note = "link 1 alone: by how many points more are saved by the report's criterion, and where most"
     return sheet("Where success falls to a half and to nine tenths", lines, note=note)
@@ -442,7 +425,7 @@ def _learning_tables(table: Table, success: Mapping[str, Curve]) -> tuple[Sheet,
         costs.append({"learner": name, "converged": _converged(table, name)} | medians.to_dict())
         done = where(own, outcome="converged")
         if 0 < len(done) < len(own):
-            converged.append({"learner": name} | {f"λ = {lam:g}": _mean(where(done, lam=lam)) for lam in success[name]})
+            converged.append({"learner": name} | at({lam: _mean(where(done, lam=lam)) for lam in success[name]}))
     cost = sheet("What learning cost, medians over trainings", costs, ",.0f")
     return cost, sheet("Starts saved by the trainings that converged, %", converged, ".1%")
 

@@ -262,7 +262,7 @@ def report(table: Table) -> Report:
     titles = {lam: f"Balancing from λ = {lam:g}" for lam in LAMS} | {0.0: "Swing-up"}
     tables = [_endings_table(table, there), *(_costs_table(table, there, *each) for each in titles.items())]
     figures = {"": _balancing(table, balancing), "_swing_up": _swinging(table, swinging)}
-    return Report(figures=figures, tables=[each for each in tables if each.lines])
+    return Report(figures=figures, tables=tables)
 
 
 def _balancing(table: Table, looks: Mapping[str, Style]) -> Figure:

@@ -194,7 +194,7 @@ def report(table: Table) -> Report:
     if "sensors" in set(table.rows["part"]):
         figures["_sensors"] = _plot_sensors(table)
     tables = (_scores(table), _breaks(table), _plants(table), _sensors(table))
-    return Report(figures=figures, tables=[each for each in tables if each.lines])
+    return Report(figures=figures, tables=tables)
 
 
 def _heat_maps(table: Table, line: Callable[[Table, str, TaskName], Mapping[str, Estimate]]) -> Figure:

@@ -249,7 +249,7 @@ def report(table: Table) -> Report:
     figures["_devices"] = _devices(table, looks)
     sheets = [_metrics_table(table, looks, task, condition) for task in TASKS for condition in CONDITIONS]
     sheets += [_devices_table(table), _trainings_table(table)]
-    return Report(figures=figures, tables=[each for each in sheets if each.lines])
+    return Report(figures=figures, tables=sheets)
 
 
 def success(line: Any) -> Estimate:

@@ -307,7 +307,7 @@ def report(table: Table) -> Report:
         figures["_horizon"] = _horizons(table, looks)
     if movers:
         figures["_transfers"] = _transfers(table, movers)
-    return Report(figures=figures, tables=[each for each in tables if each.lines])
+    return Report(figures=figures, tables=tables)
 
 
 def _step_tables(table: Table, names: Iterable[str]) -> tuple[Sheet, Sheet]:
