@@ -184,6 +184,15 @@ def styles(names: Iterable[str], known: Iterable[Contender] = CONTENDERS) -> dic
     return chosen | dict(zip((name for name in present if name not in style), cycle(_OWN), strict=False))
 
 
+def designed_and_learned(names: Iterable[str]) -> list[list[str]]:
+    """Return names in two parts, those of learners last; of no names no part."""
+    learned = {contender.name for contender in CONTENDERS if contender.policy or contender.learner}
+    parts: tuple[list[str], list[str]] = [], []
+    for name in names:
+        parts[name in learned].append(name)
+    return [part for part in parts if part]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Options(_runner.Options):
     """Options of a comparison's command line."""

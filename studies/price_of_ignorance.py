@@ -152,6 +152,13 @@ def _evaluated(
     return len(starts), successes, track_ends
 
 
+_MILESTONES = {
+    "first": (COLOURS[0], "o", -0.15, "first success"),
+    "stable": (COLOURS[1], "D", 0.15, "stable: 90 % of fresh starts, twice"),
+}
+"""Colour, marker, place on a line, and words."""
+
+
 def report(table: Table) -> Report:
     """Draw experience to success against what was told, and tabulate it with processor time."""
     names = [name for name in RIGS if len(where(table.rows, plant=name))]
@@ -162,44 +169,25 @@ def report(table: Table) -> Report:
         for k, told in enumerate(there):
             own = where(table.rows, plant=name, told=told)
             line: dict[str, Value] = {"plant": name, "told": told, "trainings": len(own)}
-            for kind, colour, mark, lift in (("first", COLOURS[0], "o", -0.15), ("stable", COLOURS[1], "D", 0.15)):
-                each = own[kind].to_numpy(dtype=np.float64)
-                found = np.isfinite(each)
-                height = np.full(len(each), k + lift)
-                axis.plot(
-                    each[found],
-                    height[found],
-                    mark,
-                    color=colour,
-                    ms=4,
-                    alpha=0.5,
-                    mew=0,
-                    label=f"{kind} success" if kind == "first" else "stable: 90 % of fresh starts, twice",
-                )
-                never = own["experience"].to_numpy(dtype=np.float64)[~found]
-                axis.plot(never, height[~found], ">", color=colour, ms=5, mfc="none", label="not within this")
-                middle = median(np.where(found, each, np.inf)) if len(each) else None
-                if middle is not None and math.isfinite(middle.value):
+            for kind, (colour, mark, lift, label) in _MILESTONES.items():
+                each, height = own[kind], np.full(len(own), k + lift)
+                axis.plot(each, height, mark, color=colour, ms=4, alpha=0.5, mew=0, label=label)
+                never = own["experience"].where(each.isna())
+                axis.plot(never, height, ">", color=colour, ms=5, mfc="none", label="not within this")
+                middle = median(each.fillna(math.inf))
+                if math.isfinite(middle.value):
                     axis.plot([middle.value] * 2, [k + lift - 0.12, k + lift + 0.12], color=colour, lw=2.2)
-                line |= {
-                    f"{kind}, s": middle,
-                    f"{kind}: trainings": int(found.sum()),
-                    f"{kind}, CPU s": median(own[f"{kind}_cpu"].to_numpy()[found]),
-                }
+                line |= {f"{kind}, s": middle, f"{kind}: trainings": int(each.count()),
+                         f"{kind}, CPU s": median(own[f"{kind}_cpu"].dropna())}  # fmt: skip
             line["starts saved at first, %"] = mean_share(own["at_first"] / own["starts"], own["starts"])
             lines.append(line)
-        if name == "pilco2011":
-            axis.axvspan(*_PILCO, color="0.88", lw=0)
-            axis.annotate(
-                "PILCO, 2011",
-                (math.sqrt(_PILCO[0] * _PILCO[1]), len(there) - 0.55),
-                ha="center",
-                fontsize=8,
-                bbox=_WHITE,
-            )
-        for deep, seconds in _deep().items() if name != "pilco2011" else ():
-            axis.axvline(seconds, color="0.5", lw=0.8, ls=":")
-            axis.annotate(deep, (seconds, len(there) - 0.55), ha="center", fontsize=8, bbox=_WHITE)
+        words = {"PILCO, 2011": math.sqrt(math.prod(_PILCO))} if name == "pilco2011" else _deep()
+        for said, seconds in words.items():
+            axis.annotate(said, (seconds, len(there) - 0.55), ha="center", fontsize=8, bbox=_WHITE)
+            if name == "pilco2011":
+                axis.axvspan(*_PILCO, color="0.88", lw=0)
+            else:
+                axis.axvline(seconds, color="0.5", lw=0.8, ls=":")
         axis.set(ylim=(len(there) - 0.3, -0.6), yticks=range(len(there)), yticklabels=there, title=name)
     log_axis(axes[-1, 0], ticks=(2, 5, 10, 20, 50, 100, 200, 1000, 10000, 100000))
     axes[-1, 0].set_xlabel("experience (s)")

@@ -28,7 +28,7 @@ from dpend.params import Array
 
 from . import _field, _perturbations, _runner
 from ._estimates import Estimate, crossing, mean_share, share, worst_cases
-from ._field import CONTENDERS, RIG, Contender, Cost, TaskName, find, styles
+from ._field import RIG, Contender, Cost, TaskName, designed_and_learned, find, styles
 from ._figures import Curve, Style, curves, facets, forest, heat_map, intervals, legend_above, share_axis
 from ._own import Own
 from ._perturbations import AXES, GROUPS, NOMINAL, PARAMETERS, SENSORS, VIEWS, Axis, of_groups, realaigym, views
@@ -164,7 +164,6 @@ def on_plants(table: Table, contender: str, task: TaskName) -> tuple[Array, Esti
     return shares, mean_share(shares, outcomes.size), worst_cases(shares)
 
 
-_LEARNED = {contender.name for contender in CONTENDERS if contender.policy or contender.learner}
 _VIEW_STYLES: Mapping[str, Style] = dict(zip(VIEWS, (
     ("#000000", "X", ":"), ("#D55E00", "s", "--"), ("#CC79A7", "v", "-."), ("#0072B2", "o", "-"),
     ("#009E73", "^", (0, (6, 1, 1, 1))),
@@ -184,7 +183,7 @@ def _each(table: Table, part: str = "axes") -> Iterator[tuple[str, TaskName]]:
 
 def report(table: Table) -> Report:
     """Draw the overview, single parameters, success against level for both tasks, plants and sensors; tabulate them."""
-    tasks: list[TaskName] = [task for task in TASKS if _present(table, task)]
+    tasks = [task for task in TASKS if _present(table, task)]
     figures = {"": _heat_maps(table, _overview), "_parameters": _heat_maps(table, _least)}
     for axis in figures[""].axes:
         for line in (0.5, len(GROUPS) + 0.5, len(GROUPS) + 1.5):  # between the nominal rig, the axes, and their sums
@@ -238,7 +237,7 @@ def _shares(table: Table, axes: Sequence[str], **fields: str) -> Curve:
 def _plot_axes(table: Table, task: TaskName) -> Figure:
     """Draw success against level: a row an axis, designed controllers on the left, learned ones on the right."""
     looks = _present(table, task)
-    sides = [*filter(None, ([name for name in looks if (name in _LEARNED) == kind] for kind in (False, True)))]
+    sides = designed_and_learned(looks)
     figure, axes = facets(len(GROUPS), len(sides), height=9.2, width=7.0, sharey=True, sharex="row")
     words = {axis.group: axis.words for axis in AXES} | {"model": "error of one parameter, eight pooled"}
     for group, row in zip(GROUPS, axes, strict=True):
@@ -291,8 +290,7 @@ def _plot_sensors(table: Table) -> Figure:
 
     The levels of noise and of encoders stand side by side.
     """
-    first = {(task, name in _LEARNED): name for name, task in reversed([*_each(table, "sensors")])}
-    shown = [(first[kind], kind[0]) for kind in sorted(first)]
+    shown = [(part[0], task) for task in TASKS for part in designed_and_learned(_present(table, task, "sensors"))]
     noise, encoders, *_ = SENSORS
     named = {noise: [f"{each:g}" for each in noise.levels], encoders: [f"{1 / each:.0f}" for each in encoders.levels]}
     rows = len(shown)

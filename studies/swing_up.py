@@ -16,7 +16,6 @@ pumping and LQR in 40.5 and 51.5 %, with a planned last swing always.  All 12 tr
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +33,7 @@ from dpend.params import Array
 
 from . import _field, _runner
 from ._estimates import Estimate, share
-from ._field import CONTENDERS, Contender, Cost, find, styles
+from ._field import CONTENDERS, Contender, Cost, designed_and_learned, find, styles
 from ._figures import Style, curves, facets, force_trace, forest, heat_map, legend_above, note, share_axis
 from ._own import Own
 from ._runner import Positive, Report, Result, Table
@@ -215,6 +214,7 @@ _MEDIANS = {
     "time up, s": ("time_up", ".2f"), "peak, N": ("peak_force", ".1f"), "track, m": ("travel", ".2f"),
     "effort, N² s": ("effort", ".0f"), "variation, 1/s": ("variation", ".2f"), "saturated, %": ("saturated", ".0%"),
 }  # fmt: skip
+_FORMS = {heading: form for heading, (_, form) in _MEDIANS.items()}
 
 
 def runs_of(table: Table, contender: str, **fields: Any) -> Runs:
@@ -275,26 +275,22 @@ def report(table: Table) -> Report:
             medians["time up, s"] = Cell(f"{middle:.2f}", f"{low:.2f} to {high:.2f}", middle)
         swings.append(line | {"up, %": up(runs)} | medians)
         conditions.append(line | _rates(table, name, start))
-        wrong = {f"plant ±{100 * error:g} %": runs_of(table, name, start=start, plant_error=error) for error in ERRORS}
-        failed.append(line | {each: failures(runs) or None for each, runs in wrong.items()})
-        horizons += [
-            line | {"plant": each.removeprefix("plant ")} | {f"{T:g} s": up(runs, T) for T in HORIZONS}
-            for each, runs in wrong.items() if len(runs["success"])
-        ]  # fmt: skip
-    transfers, presets = [], []
-    for start, target in TRANSFERS if movers else ():
-        counted = {name: _counted(runs_of(table, name, start=start, target=target)) for name in movers}
-        transfers.append({"from, to": f"{start}, {target}"} | counted)
-    for rig in PRESETS if elsewhere else ():
-        counted = {name: _counted(runs_of(table, name, rig=rig)) or "refused" for name in elsewhere}
-        presets.append({"preset": rig} | counted)
-    forms = {heading: form for heading, (_, form) in _MEDIANS.items()}
+        wrong = {f"±{100 * error:g} %": runs_of(table, name, start=start, plant_error=error) for error in ERRORS}
+        failed.append(line | {f"plant {each}": failures(runs) or None for each, runs in wrong.items()})
+        horizons += [line | {"plant": each} | {f"{T:g} s": up(runs, T) for T in HORIZONS}
+                     for each, runs in wrong.items() if len(runs["success"])]  # fmt: skip
+    transfers = [
+        {"from, to": f"{start}, {target}"}
+        | {name: _counted(runs_of(table, name, start=start, target=target)) for name in movers}
+        for start, target in TRANSFERS if movers
+    ]  # fmt: skip
+    presets = [
+        {"preset": rig} | {name: _counted(runs_of(table, name, rig=rig)) or "refused" for name in elsewhere}
+        for rig in PRESETS if elsewhere
+    ]  # fmt: skip
+    medians_of = "medians over runs that succeed, of times up with quartiles"
     tables = [
-        sheet(
-            "Swing-up on the plant as it is believed to be; medians over runs that succeed, of times up with quartiles",
-            swings,
-            forms,
-        ),
+        sheet(f"Swing-up on the plant as it is believed to be; {medians_of}", swings, _FORMS),
         sheet(f"Runs that are up for good within {HORIZON:g} s, %, under every condition", conditions, ".1%"),
         sheet("Runs that are up for good within a horizon, %, plants wrong by up to ±", horizons, ".1%"),
         sheet(f"Runs that fail: off the track, late (up after {HORIZON:g} s), never up", failed),
@@ -303,7 +299,7 @@ def report(table: Table) -> Report:
         sheet("Hanging to upright on the other presets: successes of runs, median time up", presets),
     ]
     figures = {"": _swings(table, looks), "_success": _success(table, looks)}
-    if any(of.lines for of in tables if "horizon" in of.title):
+    if horizons:
         figures["_horizon"] = _horizons(table, looks)
     if movers:
         figures["_transfers"] = _transfers(table, movers)
@@ -315,10 +311,9 @@ def _step_tables(table: Table, names: Iterable[str]) -> tuple[Sheet, Sheet]:
     steps, late = [], []
     for name in names:
         line, times = {"controller": name}, StepTimes.joined(table, contender=name, timed=True)
-        median, p99, longest = times.quantile(0.5), times.quantile(0.99), times.longest
-        milliseconds = {"median": 1e3 * median, "p99": 1e3 * p99, "longest": 1e3 * longest}
+        known = {"median": 1e3 * times.quantile(0.5), "p99": 1e3 * times.quantile(0.99), "longest": 1e3 * times.longest}
         first = {"first step, median": 1e3 * np.median(times.first), "first step, longest": 1e3 * times.first.max()}
-        steps.append(line | milliseconds | {"late": times.late, "of": times.steps} | first)
+        steps.append(line | known | {"late": times.late, "of": times.steps} | first)
         if table.arrays("step_counts", contender=name, timed=False):
             times = StepTimes.joined(table, contender=name)
             late.append(line | {"late": times.late, "of": times.steps, "longest, ms": 1e3 * times.longest})
@@ -380,18 +375,16 @@ def _success(table: Table, looks: Mapping[str, Style]) -> Figure:
 
 def _horizons(table: Table, looks: Mapping[str, Style]) -> Figure:
     """Draw success from hanging against the horizon on wrong plants: a column an error, learned ones below."""
-    learned = {contender.name for contender in KNOWN if contender.policy}
-    sides = [*filter(None, ([name for name in looks if (name in learned) == kind] for kind in (False, True)))]
+    sides = designed_and_learned(looks)
     figure, axes = facets(len(sides), len(ERRORS), height=0.8 + 2.3 * len(sides), sharex=True, sharey=True)
-    for (row, side), (column, error) in itertools.product(enumerate(sides), enumerate(ERRORS)):
+    for axis, (side, error) in zip(axes.flat, itertools.product(sides, ERRORS), strict=True):
         of = {name: runs_of(table, name, start="hanging", plant_error=error) for name in side}
-        drawn = {name: {T: each for T in HORIZONS if not math.isnan((each := up(runs, T)).value)}
-                 for name, runs in of.items()}  # fmt: skip
-        curves(axes[row, column], {name: curve for name, curve in drawn.items() if curve}, looks, aside=0.012)
-        share_axis(axes[row, column])
-        axes[row, column].set_xticks(HORIZONS)
-        if not row:
-            axes[row, column].set_title(f"plants ±{100 * error:g} %")
+        drawn = {name: {T: up(runs, T) for T in HORIZONS if (runs["given"] >= T).any()} for name, runs in of.items()}
+        curves(axis, {name: curve for name, curve in drawn.items() if curve}, looks, aside=0.012)
+        share_axis(axis)
+        axis.set_xticks(HORIZONS)
+    for axis, error in zip(axes[0], ERRORS, strict=True):
+        axis.set_title(f"plants ±{100 * error:g} %")
     figure.supxlabel("horizon (s)")
     figure.supylabel("runs from hanging that are up for good")
     legend_above(figure, 4)
