@@ -6,7 +6,7 @@ import html
 import math
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from itertools import accumulate
 from numbers import Integral
@@ -20,7 +20,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from ._estimates import Estimate, Tried
+from ._estimates import Estimate, Tried, share
 
 _FEW = 6  # columns in a terminal, at most
 _NAME = 20  # letters of a column of words there, before they wrap
@@ -116,6 +116,11 @@ def sheet(
     columns = [Column(heading, words=words(heading), brief=brief is None or heading in brief) for heading in headings]
     body = [[cell(record.get(each), forms[each], tried=tried) for each in headings] for record in records]
     return Sheet(title, columns, body, note)
+
+
+def counted(successes: int, n: int) -> Cell:
+    """Return the cell of ``successes`` of ``n``, with the interval of their share in percent."""
+    return replace(cell(share(successes, n), ".0%"), text=f"{successes} of {n}")
 
 
 def at(lams: Mapping[float, Value]) -> dict[str, Value]:

@@ -31,7 +31,7 @@ from . import _runner
 from ._estimates import QUARTILES, Estimate, mean_share, share
 from ._figures import COLOURS, Curve, band, forest, heat_map, mosaic, saved_by_angle, share_axis
 from ._runner import Positive, Report, Result, Table
-from ._tables import Value, cell, sheet
+from ._tables import Value, at, cell, counted, sheet
 
 MINUTES = 2
 
@@ -170,41 +170,39 @@ def _while_it_learns(training: Training, seed: int) -> dict[str, Array]:
 
 STYLES = {LQR_NAME: ("#0072B2", "o", "-"), TUNED: ("#009E73", "D", "-."), "13 cost and σ kept": ("#E69F00", "s", "--")}
 _GREY = ("#555555", "s", "-")
+_LONGEST, _BEST = "longest mean of 100 episodes, samples", "best mean policy, λ = 0.1, %"
 
 
 def report(table: Table) -> Report:
     """Draw where the report's ranges diverge, the long runs, the tuned learner, and what each deviation is worth."""
-    saved, worth, evaluated = {}, {}, []
     published: list[dict[str, Value]] = [
         {"setting": name, "trainings": len(rows),
-         **{outcome: sum(row.outcome == outcome for row in rows) for outcome in ("diverged", "converged")},
-         "learning episodes": sum(row.training_episodes for row in rows),
-         "of them successful": sum(row.training_successes for row in rows),
-         "trainings with one": sum(row.training_successes > 0 for row in rows),
-         "longest mean of 100 episodes, samples": max(row.longest for row in rows),
-         "best mean policy, λ = 0.1, %": max(row.successes / row.episodes for row in rows)}
-        for name in (*VARIANTS, LONG) if (rows := list(table.lines(setting=name)))
+         **{outcome: (rows["outcome"] == outcome).sum() for outcome in ("diverged", "converged")},
+         "learning episodes": rows["training_episodes"].sum(), "of them successful": rows["training_successes"].sum(),
+         "trainings with one": (rows["training_successes"] > 0).sum(), _LONGEST: rows["longest"].max(),
+         _BEST: (rows["successes"] / rows["episodes"]).max()}
+        for name in (*VARIANTS, LONG) if len(rows := table.where(setting=name))
     ]  # fmt: skip
+    saved, worth, evaluated = {}, {}, []
     for name in (*ablations(RIG), LQR_NAME):
-        if not (first := list(table.lines(setting=name, lam=LAMS[0]))):
-            continue
         rows = {lam: table.where(setting=name, lam=lam) for lam in LAMS}
+        if not (n := len(first := rows[LAMS[0]])):
+            continue
         saved[name] = {lam: mean_share(of["successes"] / of["episodes"], of["episodes"]) for lam, of in rows.items()}
         line: dict[str, Value] = {"learner": name}
         if name != LQR_NAME:
-            done = sum(each.successes >= LEARNED * each.episodes for each in first)
-            worth[name] = share(done, len(first))
-            line["99 % at λ = 0.1"] = replace(cell(worth[name], ".0%"), text=f"{done} of {len(first)}")
-        line |= {f"λ = {lam:g}": cell(each, ".1%") for lam, each in saved[name].items()}
-        evaluated.append(line | {"median steps": float(np.median([each.training_steps for each in first]))})
-    after = [each.learned_after for each in table.lines(setting=TUNED, lam=LAMS[0]) if each.learned_after >= 0]
+            done = int((first["successes"] >= LEARNED * first["episodes"]).sum())
+            worth[name] = share(done, n)
+            line["99 % at λ = 0.1"] = counted(done, n)
+        line |= at({lam: cell(each, ".1%") for lam, each in saved[name].items()})
+        evaluated.append(line | {"median steps": float(np.median(first["training_steps"]))})
+    after = table.where(setting=TUNED, lam=LAMS[0]).query("learned_after >= 0")["learned_after"]
     note = "None learned"
-    if after:
+    if len(after):
         low, middle, high = np.quantile(after, QUARTILES)
         note = f"Tuned: 99 of 100 starts at λ = 0.1 first saved after {middle:.0f} episodes ({low:.0f} to {high:.0f})"
     title = "Saved by the mean policy, %, and 95 % interval over trainings"
-    forms = {"longest mean of 100 episodes, samples": ".0f", "best mean policy, λ = 0.1, %": ".0%"}
-    letter = sheet("Algorithm 2 to the letter", published, forms)
+    letter = sheet("Algorithm 2 to the letter", published, {_LONGEST: ".0f", _BEST: ".0%"})
     tuned = sheet(title, evaluated, {"median steps": ",.0f"}, note=note)
     return Report(figures=_overview(table, saved, worth), tables=[letter, tuned])
 

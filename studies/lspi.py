@@ -27,10 +27,10 @@ from rl import LSPI, GainPolicy, Learner, LinearQLearning, QuadraticQLearning
 from rl.lspi import gain_errors
 
 from . import _runner
-from ._estimates import QUARTILES, mean_share, share
+from ._estimates import QUARTILES, mean_share
 from ._figures import Curve, band, force_traces, legend_above, log_axis, mosaic, saved_by_angle
 from ._runner import Positive, Report, Result, Table
-from ._tables import cell, sheet
+from ._tables import at, cell, counted, sheet
 
 MINUTES = 1
 
@@ -124,28 +124,26 @@ def report(table: Table) -> Report:
     found, success = [], []
     for name in STYLES:
         mine = own[name, LAMS[0]]
-        error = mine["error"].to_numpy()
-        close, n = int((error <= CLOSE).sum()), len(error)
         if name not in (REFERENCE, TABLE1):
-            quantiles = zip(("median", "90th percentile", "largest"), np.quantile(error, (0.5, 0.9, 1.0)), strict=True)
+            error = mine["error"].to_numpy()
+            of = {"median": 0.5, "90th percentile": 0.9, "largest": 1.0}
             found.append(
-                {"learner": name, "found": replace(cell(share(close, n), ".0%"), text=f"{close} of {n}")}
-                | {f"{each} error, %": cell(value, ".2%") for each, value in quantiles}
+                {"learner": name, "found": counted((error <= CLOSE).sum(), len(error))}
+                | {f"{each} error, %": cell(np.quantile(error, q), ".2%") for each, q in of.items()}
                 | {"experience, s": float(np.median(mine["experience"]))}
             )
         cells = {}
         for lam in LAMS:
             gaps, said = 100 * (shares[name, lam] - shares[REFERENCE, lam]), cell(saved[name, lam], ".1%")
-            cells[f"λ = {lam:g}"] = replace(said, under=f"{said.under}\n{min(gaps):+.1f} to {max(gaps):+.1f}".strip())
-        success.append({"controller": name} | cells | {"variation at λ = 0.1": float(np.mean(mine["variation"]))})
+            cells[lam] = replace(said, under=f"{said.under}\n{min(gaps):+.1f} to {max(gaps):+.1f}".strip())
+        success.append({"controller": name} | at(cells) | {"variation at λ = 0.1": float(np.mean(mine["variation"]))})
     brief = ("controller", "λ = 0.1", "λ = 0.3", "variation at λ = 0.1")
     title = "Starts saved, %, and 95 % interval over trainings; below: widest gap of one to Riccati's"
     gains = f"Gains within {CLOSE:.0%} of the Riccati gain, with intervals in %, and their error"
     tables = [sheet(gains, found, {"experience, s": ",.0f"})]
     tables += [sheet(title, success, {"variation at λ = 0.1": ".4g"}, brief=brief)]
-    return Report(
-        figures=_overview(table, {name: {lam: saved[name, lam] for lam in LAMS} for name in STYLES}), tables=tables
-    )
+    by_lam = {name: {lam: saved[name, lam] for lam in LAMS} for name in STYLES}
+    return Report(figures=_overview(table, by_lam), tables=tables)
 
 
 def _overview(table: Table, saved: Mapping[str, Curve]) -> Figure:

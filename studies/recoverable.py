@@ -38,7 +38,7 @@ from ._boundary import OWN, Boundary, boundary, boundary_by_force
 from ._figures import Curve, facets, legend_above, log_axis, palette, share_axis
 from ._null_controllable import farthest_on_track, null_controllable
 from ._runner import NonNegative, Plant, Report, Result, Table, where
-from ._tables import Value, cell, sheet
+from ._tables import Value, at, cell, sheet
 
 MINUTES = 3
 
@@ -238,24 +238,20 @@ def report(table: Table) -> Report:
     solved = where(rows, model="nonlinear", margin=OWN)
     by_force = {track: boundary_by_force(where(solved, track=track)) for track in sorted(set(solved["track"]))}
     most = LEVELS[-1] * float(first["limit"])
-    needed = {
-        track / length: {lam: _least(at, lam, most) / weight for lam in LAMS[1:]} for track, at in by_force.items()
-    }
+    needed = {track / length: {lam: _least(of, lam, most) / weight for lam in LAMS[1:]}
+              for track, of in by_force.items()}  # fmt: skip
     lines = [
-        {"": name}
-        | {f"λ = {lam:g}": cell(each, ".2%") for lam, each in shares[name].items()}
+        {"": name} | at({lam: cell(each, ".2%") for lam, each in shares[name].items()})
         | {f"λ{part}, rad": cell(of.lam(part / 100), ".3f") for part in (90, 50)}
         for name, of in sets.items()
-    ]
+    ]  # fmt: skip
     radii = [
         {"towards, °": f"{degrees:g}"} | {name: float(of.radius(math.radians(degrees))) for name, of in sets.items()}
         for degrees in range(0, 180, 15)
     ]
-    least = [{"track": f"{track:g}"} | {f"λ = {lam:g}": each for lam, each in of.items()}
-             for track, of in needed.items()]  # fmt: skip
-    brief = {"", *(f"λ = {lam:g}" for lam in LAMS[3:])}
+    least = [{"track": f"{track:g}"} | at(of) for track, of in needed.items()]
     tables = [
-        sheet("Starts inside, %, and the numerical error", lines, brief=brief),
+        sheet("Starts inside, %, and the numerical error", lines, brief={"", *at(dict.fromkeys(LAMS[3:]))}),
         sheet("Distance of the boundary, rad", radii, ".4f", note="towards: atan2(θ2, θ1)"),
         sheet(f"Least force that saves {SAVED:.0%} of the starts, by the weight Mg", least, ".3f",
               note="track: from the middle to the end, by the length of both links"),
@@ -267,9 +263,7 @@ def report(table: Table) -> Report:
 
 def _plot_sets(sets: Mapping[str, Boundary], shares: Mapping[str, Curve]) -> Figure:
     figure, ((plane, by_lam),) = facets(1, 2, height=4.1, width=8.2)
-    looks = palette(sets)
-    for name, of in sets.items():
-        colour, _, line = looks[name]
+    for (name, of), (colour, _, line) in zip(sets.items(), palette(sets).values(), strict=True):
         plane.plot(*of.ring().T, color=colour, ls=line, lw=1.4)
         by_lam.plot(LAMS, [each.value for each in shares[name].values()], color=colour, ls=line, lw=1.4, label=name)
     _angles(plane)
@@ -280,16 +274,13 @@ def _plot_sets(sets: Mapping[str, Boundary], shares: Mapping[str, Curve]) -> Fig
 
 
 def _plot_resources(
-    at: Callable[[float], Boundary],
-    limit: float,
-    weight: float,
-    needed: Mapping[float, Mapping[float, float]],
+    bounded: Callable[[float], Boundary], limit: float, weight: float, needed: Mapping[float, Mapping[float, float]],
     own: float,
-) -> Figure:
+) -> Figure:  # fmt: skip
     """Draw the least force over the plane, and over the track the force under which most starts are saved."""
     figure, ((plane, tracks),) = facets(1, 2, height=4.1, width=8.2)
     for part in (0.25, 0.5, 0.75, 1.0, 1.25, 1.5):
-        (line,) = plane.plot(*at(part * limit).ring().T, color=colormaps["viridis"](1.0 - 0.62 * part))
+        (line,) = plane.plot(*bounded(part * limit).ring().T, color=colormaps["viridis"](1.0 - 0.62 * part))
         line.set(lw=2.6 if part == 1 else 1.3, label=f"{part * limit:g} N, {part * limit / weight:.2g} Mg")
     _angles(plane)
     legend_above(plane, 3, "least force")
@@ -310,11 +301,11 @@ def _angles(axis: Axes) -> None:
     axis.set(xlabel="θ1 (rad)", ylabel="θ2 (rad)", xlim=(-1.02, 1.02), ylim=(-1.02, 1.02), aspect="equal")
 
 
-def _least(at: Callable[[float], Boundary], lam: float, most: float) -> float:
+def _least(bounded: Callable[[float], Boundary], lam: float, most: float) -> float:
     """Return the force, N, under which a share of :data:`SAVED` is saved; NaN where the most there is does not."""
 
     def more(force: float) -> float:
-        return at(force).share(lam).value - SAVED
+        return bounded(force).share(lam).value - SAVED
 
     return float(cast(float, brentq(more, 1e-3, most, xtol=1e-3))) if more(most) > 0 else math.nan
 
@@ -322,9 +313,8 @@ def _least(at: Callable[[float], Boundary], lam: float, most: float) -> float:
 def _checks(rows: pd.DataFrame, of: Boundary) -> list[dict[str, Value]]:
     """Return in how many cases what the areas rest on holds."""
     random, saves = rows.loc[rows["starts"] > 0], rows["saves"].to_numpy()
-    checks = {
-        f"replayed motions, of {_CLOSE:.0%} of the limit and more, that save their start": saves[saves != "-"] == "yes"
-    }
+    replayed = f"replayed motions, of {_CLOSE:.0%} of the limit and more, that save their start"
+    checks = {replayed: saves[saves != "-"] == "yes"}
     if len(random):
         x = np.zeros((len(random), 6))
         x[:, 1:3] = random[["th1", "th2"]]
