@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, NamedTuple, get_args
 
@@ -207,16 +207,13 @@ def _at_task(table: Table, name: str, task: TaskName, place: Place | None) -> Li
 def _cost(table: Table, name: str) -> Line:
     """Return the line of what a contender cost."""
     found = {what: values for what in GROUPS["Cost"] if len(values := values_of(table, name, what))}
-    line: Line = {what: float(np.median(values)) for what, values in found.items()}
-    if "ready, s" in found:
-        line["ready, s"] = cell(mean_known(found["ready, s"]), ".2g")
-    if "failed, %" in found:
-        failed = found["failed, %"]
-        line |= {"trainings": len(failed), "failed, %": cell(share(failed.sum(), len(failed)), ".1%")}
-    if "they save, %" in found:
-        saves = found["they save, %"]
-        line["they save, %"] = _percent(mean_share(saves, 10_000 * len(saves)))
-    return line
+    written: dict[str, Callable[[Array], Value]] = {
+        "ready, s": lambda each: cell(mean_known(each), ".2g"),
+        "failed, %": lambda each: cell(share(each.sum(), len(each)), ".1%"),
+        "they save, %": lambda each: _percent(mean_share(each, 10_000 * len(each))),
+    }
+    line: Line = {what: written.get(what, np.median)(values) for what, values in found.items()}
+    return line | ({"trainings": len(found["failed, %"])} if "failed, %" in found else {})
 
 
 def _sheet(title: str, lines: Mapping[str, Mapping[str, Line]], note: str = "") -> Sheet:

@@ -26,7 +26,7 @@ from . import _runner
 from ._estimates import Estimate, crossing, mean_share
 from ._figures import Style, facets, intervals, legend_above, share_axis
 from ._runner import AtLeastTwo, Report, Result, Table
-from ._tables import Value, cell, sheet
+from ._tables import sheet
 
 MINUTES = 1
 
@@ -104,13 +104,11 @@ def report(table: Table) -> Report:
     """Draw λ50 and success against the discount, and tabulate them."""
     discounts = sorted(set(table.rows["discount"]))
     values = {(law, each): found(table, law, each) for law, each in itertools.product(STYLES, discounts)}
-    lines: list[dict[str, Value]] = []
-    for (law, discount), own in values.items():
-        half = cell(own["λ50, rad"], ".3f", tried=(LAMS[0], LAMS[-1]))
-        shares = {name: cell(own[name], ".1%") for name in CONDITIONS}
-        lines.append({"law": law, "discount": f"{discount:g}", "λ50, rad": half} | shares)
+    lines = [{"law": law, "discount": f"{each:g}"} | own for (law, each), own in values.items()]
+    forms = {"λ50, rad": ".3f"} | dict.fromkeys(CONDITIONS, ".1%")
     title = f"λ50, and starts saved from λ = {_LAM:g}, %, by discount"
-    return Report(figures=_draw(values, discounts), tables=[sheet(title, lines)])
+    of = sheet(title, lines, forms, tried=(LAMS[0], LAMS[-1]))
+    return Report(figures=_draw(values, discounts), tables=[of])
 
 
 def _draw(values: dict[tuple[str, float], dict[str, Estimate]], discounts: list[float]) -> Figure:
@@ -118,10 +116,8 @@ def _draw(values: dict[tuple[str, float], dict[str, Estimate]], discounts: list[
     places = np.arange(len(discounts))
     for axis, name in zip(axes[0], ("λ50, rad", *CONDITIONS[1:]), strict=True):
         for aside, (law, style) in zip((-0.08, 0.08), STYLES.items(), strict=True):
-            shown = [
-                Estimate(*np.clip(values[law, each][name], 0.0, 1.0).tolist()) for each in discounts
-            ]  # no infinity
-            intervals(axis, places + aside, shown, style, label=law)
+            shown = np.clip([values[law, each][name] for each in discounts], 0.0, 1.0)  # no infinity
+            intervals(axis, places + aside, map(Estimate._make, shown), style, label=law)
         if name in CONDITIONS:
             share_axis(axis)
         axis.set_title(name)

@@ -273,7 +273,7 @@ def _balancing(table: Table, looks: Mapping[str, Style]) -> Figure:
     third.axhline(dpend.Balance().steps, color="k", lw=0.6, ls=(0, (1, 3)))
     note(third, "report: “relatively quick convergence”, in 70 % of training attempts")
     legend_above(third, 3, "As the report's figure 3: learning to balance")
-    _episodes(fourth, table, {name: style for name, style in looks.items() if name == SMALL_STEPS})
+    _episodes(fourth, table, {name: looks[name] for name in looks if name == SMALL_STEPS})
     fourth.axvspan(30_000, 40_000, color="0.88", lw=0, zorder=0)
     ends = table.where(learner=SMALL_STEPS, lam=LAMS[0], outcome="diverged")["episodes"]
     if len(ends):
@@ -352,14 +352,13 @@ def _endings_table(table: Table, learners: Sequence[str]) -> Sheet:
 
 
 def _costs_table(table: Table, learners: Sequence[str], lam: float, title: str) -> Sheet:
-    columns = ("first", "first_cpu", "most", "most_cpu", "kept")
-    headings = ("first start", "CPU to it", "95 %", "CPU to 95 %", "kept")
-    lines: list[dict[str, Value]] = []
-    for name in learners:
-        if len(own := table.where(learner=name, lam=lam)):
-            times = [typical(own[column].to_numpy()) for column in columns]
-            end = {"end, %": float(np.median(own["share"]))}
-            lines.append({"learner": name, **dict(zip(headings, times, strict=True)), **end})
+    headings = {"first": "first start", "first_cpu": "CPU to it", "most": "95 %", "most_cpu": "CPU to 95 %",
+                "kept": "kept"}  # fmt: skip
+    lines = [
+        {"learner": name} | {heading: typical(own[column].to_numpy()) for column, heading in headings.items()}
+        | {"end, %": float(np.median(own["share"]))}
+        for name in learners if len(own := table.where(learner=name, lam=lam))
+    ]  # fmt: skip
     note = "until an evaluation first sees a start saved, first sees 95 %, until all that follow do; s; median, range"
     return sheet(f"{title}: experience and processor time to success, s", lines, note=note)
 

@@ -349,21 +349,18 @@ def _overview(table: Table) -> Figure:
         for k, rewards in enumerate(table.arrays("rewards", features=features)):
             episodes = np.arange(1, rewards.shape[1] + 1)
             band(learning, episodes, rewards, (colour, "", "-"), features if k == 0 else None)
-    title = "linear Q-learning that did not overflow: median and quartiles over settings"
-    learning.set(xlabel="episodes", ylabel="average reward", title=title)
+    learning.set(xlabel="episodes", ylabel="average reward")
     for colour, row in zip(COLOURS, table.lines(part="search"), strict=False):
         words, best, angles = f"{row.law}, {row.state}", *(table.array(a, job=row.job) for a in ("scores", "angles"))
         scores.plot(np.arange(1, len(best) + 1), best, color=colour, label=f"{row.start}: {words}")
         t = RIG.sample_time * np.arange(len(angles))
         heights[STARTS.index(row.start)][0].plot(t, 0.5 * np.cos(angles).sum(axis=1), color=colour, lw=1, label=words)
     scores.set(xlabel="generation", ylabel="best score")
+    legend_above(learning, 3, "linear Q-learning that did not overflow: median and quartiles over settings")
+    legend_above(scores, 2)
     for (axis,), start in zip(heights, STARTS, strict=True):
-        title = f"best gains from {start}, 1 = upright, until the cart leaves the track"
-        axis.set(xlabel="time (s)", ylabel="height of the tip", ylim=(-1.1, 1.1), title=title)
-    for axis, columns in zip(figure.axes, (3, 2, 2, 2), strict=True):
-        title = axis.get_title("left")
-        axis.set_title("")
-        legend_above(axis, columns, title)
+        axis.set(xlabel="time (s)", ylabel="height of the tip", ylim=(-1.1, 1.1))
+        legend_above(axis, 2, f"best gains from {start}, 1 = upright, until the cart leaves the track")
     return figure
 
 

@@ -232,8 +232,7 @@ def _shares(counts: Array, episodes: int) -> list[Estimate]:
 
 def report(table: Table) -> Report:
     """Draw convergence, growth of the weights, and what the weights save, frozen and learning on; tabulate all."""
-    plants = list(dict.fromkeys(table.rows["plant"]))
-    episodes = max(table.rows["episodes"])
+    plants, episodes = list(dict.fromkeys(table.rows["plant"])), max(table.rows["episodes"])
     letter = dict(zip(("criterion", "weights", "failure_cost", "failed_step"), next(_readings()), strict=True))
     figure, axes = facets(3, len(plants), height=8.2, sharex="row", sharey="row")
     beside, below = facets(2, len(plants), height=5.6, sharex=True, sharey=True)
@@ -290,15 +289,13 @@ def report(table: Table) -> Report:
     share_axis(axes[2, 0], f"next {episodes} episodes that succeed:\nlearning on (full), frozen (hollow)")
     for each in (figure, beside):
         legend_above(each, 3)
-    return Report(
-        figures={"": figure, "_table2": beside, "_readings": _forests(table, plants)},
-        tables=[
-            sheet("Trainings that converge, by the successes in a row that are convergence", converged),
-            sheet(f"What the weights save at that moment: learning on over {episodes} episodes and frozen from the "
-                  "same starts, λ = 0.1; and frozen from others, whose θ2 is random or zero", saved),
-            sheet("All readings of the report", _by_criterion(table, plants)),
-        ],
-    )  # fmt: skip
+    tables = [
+        sheet("Trainings that converge, by the successes in a row that are convergence", converged),
+        sheet(f"What the weights save at that moment: learning on over {episodes} episodes and frozen from the "
+              "same starts, λ = 0.1; and frozen from others, whose θ2 is random or zero", saved),
+        sheet("All readings of the report", _by_criterion(table, plants)),
+    ]  # fmt: skip
+    return Report(figures={"": figure, "_table2": beside, "_readings": _forests(table, plants)}, tables=tables)
 
 
 def _line(plant: str, law: str, of: list[list[Estimate]], row: Any = None,

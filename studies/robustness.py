@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import get_args
 
 import numpy as np
@@ -199,7 +200,7 @@ def report(table: Table) -> Report:
 def _heat_maps(table: Table, line: Callable[[Table, str, TaskName], Mapping[str, Estimate]]) -> Figure:
     """Draw shares as numbers on colours: a panel a task, a row a contender."""
     values = {task: {name: line(table, name, task) for name in of} for task in TASKS if (of := _present(table, task))}
-    sizes = [len(of) for of in values.values()]
+    sizes = [*map(len, values.values())]
     height = 1.3 + 0.24 * sum(sizes) + 0.35 * len(sizes)
     figure, axes = facets(len(sizes), height=height, width=7.0, sharex=True, height_ratios=sizes)
     for axis, (task, of) in zip(axes[:, 0], values.items(), strict=True):
@@ -353,12 +354,11 @@ def _plants(table: Table) -> Sheet:
 
 def _sensors(table: Table) -> Sheet:
     lines = []
-    for name, task in _each(table, "sensors"):
-        for axis in SENSORS:
-            own = {"contender": name, "task": task, "part": "sensors", "axis": axis.name}
-            found = {view: table.array("outcomes", **own, view=view) for view in views(axis)}
-            shares = {view: mean_share(of.mean(axis=1), of.size) for view, of in found.items()}
-            lines.append({"controller": name, "task": task, "axis": axis.name, **dict.fromkeys(VIEWS), **shares})
+    for (name, task), axis in product(_each(table, "sensors"), SENSORS):
+        own = {"contender": name, "task": task, "part": "sensors", "axis": axis.name}
+        found = {view: table.array("outcomes", **own, view=view) for view in views(axis)}
+        shares = {view: mean_share(of.mean(axis=1), of.size) for view, of in found.items()}
+        lines.append({"controller": name, "task": task, "axis": axis.name, **dict.fromkeys(VIEWS), **shares})
     title = "(c) Success, %, the mean over the levels of an axis, by what stands between sensors and controller"
     return sheet(title, lines, ".1%", brief=("controller", "task", "axis", "rates measured", "differences", "EKF"))
 

@@ -392,10 +392,8 @@ def _learned(table: Table) -> dict[str, list[Any]]:
     def lines(name: str, **of: str) -> list[Any]:
         return list(table.lines(metric="variation", contender=name, **of))
 
-    groups = {
-        f"{name}\n{features} a²\nλ = 0.3": lines(name, task=DEVICE_TASK, device="none")
-        for name, features in (("Q tuned", "without"), ("LSPI", "with"))
-    }
+    groups = {f"{name}\n{features} a²\nλ = 0.3": lines(name, task=DEVICE_TASK, device="none")
+              for name, features in (("Q tuned", "without"), ("LSPI", "with"))}  # fmt: skip
     trained = _trained(table)
     for name, own in trained.items():
         words = (textwrap.fill(name, 10), own[0].device.replace(", ", ",\n"), "swing-up")
@@ -407,11 +405,11 @@ def _learned(table: Table) -> dict[str, list[Any]]:
 
 def _trained(table: Table) -> dict[str, list[Any]]:
     """Return the lines of the deep trainings, by recipe, in the order of their seeds."""
-    found: dict[str, list[Any]] = {}
-    for line in sorted(table.lines(metric="variation"), key=lambda line: line.training):
-        if line.device not in ("none", *DEVICES):
-            found.setdefault(line.contender, []).append(line)
-    return dict(sorted(found.items()))
+    learned = table.where(metric="variation").query(
+        "device not in @applied", local_dict={"applied": ["none", *DEVICES]}
+    )
+    by_recipe = learned.sort_values("training", kind="stable").groupby("contender")
+    return {str(name): list(own.itertuples(index=False, name="Line")) for name, own in by_recipe}
 
 
 _COLUMNS = {
@@ -422,12 +420,10 @@ _COLUMNS = {
 
 
 def _metrics_table(table: Table, looks: Mapping[str, Style], task: str, condition: str) -> Sheet:
-    lines = []
-    ratio = f"variation, times that of {REFERENCES[task]}"
+    lines, ratio = [], f"variation, times that of {REFERENCES[task]}"
     for name in looks:
         own = {line.metric: line for line in table.lines(contender=name, task=task, condition=condition, device="none")}
-        if own:
-            first = own["variation"]
+        if first := own.get("variation"):
             values = {heading: own[metric].median for metric, heading in _COLUMNS.items()}
             known = {"controller": name, "starts": first.starts, "success, %": success(first)}
             lines.append(known | values | {_COLUMNS["variation"]: variation(first), ratio: _ratio(first)})
@@ -438,17 +434,16 @@ def _metrics_table(table: Table, looks: Mapping[str, Style], task: str, conditio
 
 def _devices_table(table: Table) -> Sheet:
     lines: list[dict[str, Value]] = []
-    of: dict[str, Any] = {"metric": "variation", "task": DEVICE_TASK}
     for device, (parameter, *_) in DEVICES.items():
         for name in dict.fromkeys(table.where(device=device)["contender"]):
-            settings = sorted(set(table.where(device=device, contender=name)["setting"]))
-            for applied, setting in (("none", 0.0), *((device, setting) for setting in settings)):
+            for setting in (0.0, *sorted(set(table.where(device=device, contender=name)["setting"]))):
+                of = {"contender": name, "device": device if setting else "none", "setting": setting}
                 said = f"{setting:g}" if setting else "none"
                 line: dict[str, Value] = {"device": parameter, "controller": name, "setting": said}
-                for own in table.lines(contender=name, device=applied, setting=setting, **of):
+                for own in table.lines(metric="variation", task=DEVICE_TASK, **of):
                     said = ", noise" if own.condition == "noise" else ""
                     line |= {f"success{said}, %": success(own), f"variation{said}, u_max/s": variation(own),
-                             f"times that without{said}": None if applied == "none" else _ratio(own)}  # fmt: skip
+                             f"times that without{said}": _ratio(own) if setting else None}  # fmt: skip
                 lines.append(line)
     note = "times that without the device: on the starts saved with it and without it"
     return sheet("What devices cost and buy: balancing, λ = 0.3", lines, note=note)
