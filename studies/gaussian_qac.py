@@ -177,10 +177,11 @@ def report(table: Table) -> Report:
     """Draw where the report's ranges diverge, the long runs, the tuned learner, and what each deviation is worth."""
     published: list[dict[str, Value]] = [
         {"setting": name, "trainings": len(rows),
-         **{outcome: (rows["outcome"] == outcome).sum() for outcome in ("diverged", "converged")},
-         "learning episodes": rows["training_episodes"].sum(), "of them successful": rows["training_successes"].sum(),
-         "trainings with one": (rows["training_successes"] > 0).sum(), _LONGEST: rows["longest"].max(),
-         _BEST: (rows["successes"] / rows["episodes"]).max()}
+         **{outcome: int(np.sum(rows["outcome"] == outcome)) for outcome in ("diverged", "converged")},
+         "learning episodes": int(np.sum(rows["training_episodes"])),
+         "of them successful": int(np.sum(rows["training_successes"])),
+         "trainings with one": int(np.sum(rows["training_successes"] > 0)),
+         _LONGEST: float(np.max(rows["longest"])), _BEST: float(np.max(rows["successes"] / rows["episodes"]))}
         for name in (*VARIANTS, LONG) if len(rows := table.where(setting=name))
     ]  # fmt: skip
     saved, worth, evaluated = {}, {}, []
@@ -191,7 +192,7 @@ def report(table: Table) -> Report:
         saved[name] = {lam: mean_share(of["successes"] / of["episodes"], of["episodes"]) for lam, of in rows.items()}
         line: dict[str, Value] = {"learner": name}
         if name != LQR_NAME:
-            done = int((first["successes"] >= LEARNED * first["episodes"]).sum())
+            done = int(np.sum(first["successes"] >= LEARNED * first["episodes"]))
             worth[name] = share(done, n)
             line["99 % at λ = 0.1"] = counted(done, n)
         line |= at({lam: cell(each, ".1%") for lam, each in saved[name].items()})

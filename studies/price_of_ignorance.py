@@ -177,7 +177,7 @@ def report(table: Table) -> Report:
                 middle = median(each.fillna(math.inf))
                 if math.isfinite(middle.value):
                     axis.plot([middle.value] * 2, [k + lift - 0.12, k + lift + 0.12], color=colour, lw=2.2)
-                line |= {f"{kind}, s": middle, f"{kind}: trainings": int(each.count()),
+                line |= {f"{kind}, s": middle, f"{kind}: trainings": int(np.sum(each.notna())),
                          f"{kind}, CPU s": median(own[f"{kind}_cpu"].dropna())}  # fmt: skip
             line["starts saved at first, %"] = mean_share(own["at_first"] / own["starts"], own["starts"])
             lines.append(line)

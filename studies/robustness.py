@@ -184,7 +184,7 @@ def _each(table: Table, part: str = "axes") -> Iterator[tuple[str, TaskName]]:
 
 def report(table: Table) -> Report:
     """Draw the overview, single parameters, success against level for both tasks, plants and sensors; tabulate them."""
-    tasks = [task for task in TASKS if _present(table, task)]
+    tasks: list[TaskName] = [task for task in TASKS if _present(table, task)]
     figures = {"": _heat_maps(table, _overview), "_parameters": _heat_maps(table, _least)}
     for axis in figures[""].axes:
         for line in (0.5, len(GROUPS) + 0.5, len(GROUPS) + 1.5):  # between the nominal rig, the axes, and their sums

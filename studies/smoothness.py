@@ -405,10 +405,8 @@ def _learned(table: Table) -> dict[str, list[Any]]:
 
 def _trained(table: Table) -> dict[str, list[Any]]:
     """Return the lines of the deep trainings, by recipe, in the order of their seeds."""
-    learned = table.where(metric="variation").query(
-        "device not in @applied", local_dict={"applied": ["none", *DEVICES]}
-    )
-    by_recipe = learned.sort_values("training", kind="stable").groupby("contender")
+    rows = table.where(metric="variation").sort_values("training", kind="stable")
+    by_recipe = rows[~rows["device"].isin(["none", *DEVICES])].groupby("contender")
     return {str(name): list(own.itertuples(index=False, name="Line")) for name, own in by_recipe}
 
 
