@@ -199,7 +199,7 @@ def test_only_the_stepper_advances_the_plant_and_only_learners_and_planners_call
     callers = {name for name, names in taken.items() if names & {"sample", "rk4"}}
     assert {name for name in callers if not name.startswith("rl/")} <= {"controllers/ilqr_kernels.py"}  # it plans ahead
     stating = {name for name, path in SOURCES.items() if "make_rk4" in path.read_text()}
-    assert stating == {"dpend/equations.py", "dpend/kernels.py", "dpend/symbolic.py"}
+    assert stating == {f"dpend/{name}.py" for name in ("emit", "equations", "jax_plant", "kernels", "symbolic")}
 
 
 # ------------------------------------------------------------------------------------------------------ heavy libraries
@@ -217,7 +217,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "matplotlib": ("dpend/draw.py", "studies/*"),
     "torch": ("rl/sb3.py", "rl/pilco.py"),
     "stable_baselines3": ("rl/sb3.py",),
-    "jax": ("rl/sb3_jax.py",),
+    "jax": ("dpend/jax_plant.py", "rl/sb3_jax.py"),
     "sbx": ("rl/sb3_jax.py",),
     "numba": ("dpend/kernels.py", "controllers/ilqr_kernels.py", "rl/*"),
     "control": ("controllers/*",),

@@ -1,0 +1,303 @@
+r"""The equations as C99 and as an ES module: traced from :mod:`dpend.equations`, which alone states them.
+
+Numbers that record what is done to them go through the functions that numpy, numba and CasADi use.  What was recorded
+is written out as straight-line code in which every common sub-expression is computed once.  The code allocates nothing,
+and needs of the mathematical library sine, cosine and, for smooth Coulomb friction, the square root.
+
+``python -m dpend.emit gustafsson2016 --to c`` prints the plant with the numbers of a rig.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import fields
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from . import equations
+from .arguments import checked_name
+from .params import Coefficients, Params
+from .rig import Rig, single_rig
+
+LANGUAGES = ("c", "js")
+REALS = ("double", "float")
+
+_SUM, _PRODUCT, _ATOM = 1, 2, 3  # how tightly an expression binds
+_BINARY = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT}
+
+
+def _recording(operation: str, swapped: bool = False) -> Callable[..., Number]:
+    def method(*operands: Any) -> Number:
+        return operands[0].tape.put(operation, *(operands[::-1] if swapped else operands))
+
+    return method
+
+
+class Number:
+    """A number that records what is done to it, on the tape of what it came from.
+
+    It adds, subtracts, multiplies and divides, and takes absolute values, squares and, as a power, the square root;
+    numpy's ``sin``, ``cos``, ``sqrt`` and ``rint`` call the methods of these names.
+    """
+
+    __slots__ = ("place", "tape")
+
+    def __init__(self, tape: Tape, place: int) -> None:
+        self.tape, self.place = tape, place
+
+    __add__, __radd__ = _recording("+"), _recording("+", swapped=True)
+    __sub__, __rsub__ = _recording("-"), _recording("-", swapped=True)
+    __mul__, __rmul__ = _recording("*"), _recording("*", swapped=True)
+    __truediv__, __rtruediv__ = _recording("/"), _recording("/", swapped=True)
+    __neg__, __abs__ = _recording("neg"), _recording("fabs")
+    sin, cos, sqrt, rint = (_recording(name) for name in ("sin", "cos", "sqrt", "rint"))
+
+    def __pow__(self, power: float) -> Number:
+        if power not in (0.5, 2):
+            raise ValueError(f"A recorded number takes the powers 2 and 0.5; got {power!r}.")
+        return self.sqrt() if power == 0.5 else self.tape.put("*", self, self)
+
+
+class Tape:
+    """What was done to the numbers of a computation, each different operation once."""
+
+    def __init__(self) -> None:
+        self._places: dict[tuple[Any, ...], int] = {}
+        self._nodes: list[tuple[str, list[Any]]] = []
+
+    def put(self, operation: str, *operands: Any) -> Number:
+        """Return the result of an operation on numbers, or on words that name an input."""
+        places = [each if isinstance(each, str) else self._place(each) for each in operands]
+        key = (operation, *(sorted(places) if operation in "+*" else places))
+        if key not in self._places:
+            self._places[key] = len(self._nodes)
+            self._nodes.append((operation, places))
+        return Number(self, self._places[key])
+
+    def _place(self, operand: Any) -> int:
+        return operand.place if isinstance(operand, Number) else self.put("constant", repr(float(operand))).place
+
+    def inputs(self, name: str, entries: int | Iterable[str] | None) -> Any:
+        """Return numbers that stand for an array of so many entries, the fields of a structure, or a number."""
+        if entries is None:
+            return self.put("input", name)
+        if isinstance(entries, int):
+            return [self.put("input", f"{name}[{i}]") for i in range(entries)]
+        return SimpleNamespace(**{field: self.put("input", f"{name}->{field}") for field in entries})
+
+    def lines(self, results: dict[str, Any]) -> list[str]:
+        """Return the statements that compute results and assign them to places, in the common form of both languages.
+
+        Inputs are read before any result is written, so that a result may be written over an input.
+        """
+        wanted = {name: self._place(value) for name, value in results.items()}
+        uses = [0] * len(self._nodes)
+        for place in wanted.values():
+            uses[place] += 2 if len(wanted) > 1 else 1
+        for place, (operation, operands) in reversed([*enumerate(self._nodes)]):
+            if uses[place] and operation not in ("constant", "input"):
+                for operand in operands:
+                    uses[operand] += 1
+        written: dict[int, tuple[str, int]] = {}
+        lines: list[str] = []
+        for place, (operation, operands) in enumerate(self._nodes):
+            if not uses[place]:
+                continue
+            text, binds = _expression(operation, [written.get(each, each) for each in operands])
+            entry = operation == "input" and "[" in text
+            if entry or (uses[place] > 1 and operation not in ("constant", "input")):
+                name = re.sub(r"\W", "", text) if entry else f"t{len(lines)}"
+                lines.append(f"const real {name} = {text};")
+                text, binds = name, _ATOM
+            written[place] = text, binds
+        return lines + [f"{name} = {written[place][0]};" for name, place in wanted.items()]
+
+
+def _expression(operation: str, operands: list[Any]) -> tuple[str, int]:
+    if operation in ("constant", "input"):
+        return operands[0], _SUM if operands[0].startswith("-") else _ATOM
+    if operation not in _BINARY:
+        (text, binds), *_ = operands
+        if operation != "neg":
+            return f"{operation}({text})", _ATOM
+        return f"-{text}" if binds == _ATOM else f"-({text})", _SUM
+    binds = _BINARY[operation]
+    (left, left_binds), (right, right_binds) = operands
+    left = left if left_binds >= binds else f"({left})"
+    right = right if right_binds > binds else f"({right})"  # what is grouped stays grouped, to the last bit
+    return f"{left} {operation} {right}", binds
+
+
+def translated(text: str, to: str, real: str = "double") -> str:
+    """Return code in the common form of both languages as one of them.
+
+    The common form is C with ``real`` for the type; of the mathematical library ``sin``, ``cos``, ``sqrt``, ``fabs``,
+    ``tanh`` and ``rint``; and names that begin with ``dpend_``, which JavaScript drops.
+    """
+    mathematics = r"\b(sin|cos|sqrt|fabs|tanh|rint)\("
+    if to == "c":
+        if real == "float":
+            text = re.sub(mathematics, r"\1f(", re.sub(r"(?<![\w.])(\d+\.\d*(e[-+]?\d+)?|\d+e[-+]?\d+)", r"\1f", text))
+        return re.sub(r"\breal\b", real, text)
+    text = re.sub(r"\b(real|int)\b", "let", re.sub(r"\bconst real\b", "const", text))
+    text = re.sub(mathematics, lambda found: _IN_JAVASCRIPT.get(found[1], f"Math.{found[1]}") + "(", text)
+    return text.replace("->", ".").replace("dpend_", "").replace("INFINITY", "Infinity")
+
+
+_IN_JAVASCRIPT = {"fabs": "Math.abs", "rint": "rint"}
+RINT = "const rint = (v) => v + 6755399441055744 - 6755399441055744; // to even, as C rounds; |v| < 2^51\n"
+"""What JavaScript lacks."""
+
+
+class _Function(NamedTuple):
+    """A function of the plant: a name, what it does, what it takes, its results' names, and the traced computation."""
+
+    name: str
+    does: str
+    takes: Mapping[str, int | Sequence[str] | None]
+    gives: int | Sequence[str]
+    compute: Callable[..., Sequence[Any]]
+
+
+_PARAMETERS = tuple(field.name for field in fields(Params))
+
+
+def _coefficients(p: Any) -> Coefficients:
+    p.centers, p.inertias = (p.com1, p.com2), (p.inertia1, p.inertia2)
+    return Params.coefficients(p)
+
+
+def _plant() -> tuple[_Function, ...]:
+    rates = equations.make_rates(np.sin, np.cos)
+    x, c = {"x": 6}, {"c": Coefficients._fields}
+    return (
+        _Function("lumped", "Lumped coefficients of masses, lengths, centres, inertias, frictions and gravity.",
+                  {"p": _PARAMETERS}, Coefficients._fields, _coefficients),
+        _Function("rates", "Time derivatives of a state under generalised forces on cart, link 1 and link 2.",
+                  x | {"f": 3} | c, 6, rates),
+        _Function("rk4", "The state h seconds later under held forces, by one Runge-Kutta step; out may be x.",
+                  x | {"f": 3} | c | {"h": None}, 6, equations.make_rk4(rates)),
+        _Function("energies", "Kinetic and potential energy, J.", x | c, 2, equations.make_energies(np.cos)),
+        _Function("positions", "Second joint and tip, (x, y) each, m; heights above the cart's joint.",
+                  x | c, 4, equations.make_positions(np.sin, np.cos)),
+    )  # fmt: skip
+
+
+def _written(function: _Function, to: str) -> str:
+    tape = Tape()
+    results = function.compute(*(tape.inputs(name, entries) for name, entries in function.takes.items()))
+    places = [f"out[{i}]" for i in range(function.gives)] if isinstance(function.gives, int) else [
+        f"out->{name}" for name in function.gives
+    ]  # fmt: skip
+    body = "".join(f"    {line}\n" for line in tape.lines(dict(zip(places, results, strict=True))))
+    if to == "c":
+        taken = [_argument(name, entries, "const ") for name, entries in function.takes.items()]
+        heading = f"static inline void dpend_{function.name}({', '.join([*taken, _argument('out', function.gives)])})"
+        return f"/* {function.does} */\n{heading}\n{{\n{body}}}\n"
+    fresh = f"new Float64Array({function.gives})" if isinstance(function.gives, int) else "{}"
+    heading = f"export function {function.name}({', '.join(function.takes)}, out = {fresh})"
+    return f"/** {function.does} */\n{heading} {{\n{body}    return out;\n}}\n"
+
+
+def _argument(name: str, entries: int | Sequence[str] | None, const: str = "") -> str:
+    if entries is None:
+        return f"real {name}"
+    if isinstance(entries, int):
+        return f"{const}real {name}[{entries}]"
+    return f"{const}dpend_{'parameters' if entries == _PARAMETERS else 'coefficients'} *{name}"
+
+
+_ABOUT = """\
+/* A double inverted pendulum on a cart, emitted from its equations; SI units.
+ * State x: pos [m], th1, th2 [rad, absolute, 0 = up, positive leans to +pos], vel [m/s], om1, om2 [rad/s].
+ * Generalised forces f: on the cart [N], on link 1 and on link 2 [N m].  Actuator and sensors are left out. */
+"""
+_SAMPLE = {
+    "c": """\
+/* One sample: so many Runge-Kutta steps of h seconds under held forces, in place. */
+static inline void dpend_sample(real x[6], const real f[3], const dpend_coefficients *c, real h, int substeps)
+{
+    int k;
+    for (k = 0; k < substeps; k++) dpend_rk4(x, f, c, h, x);
+}
+""",
+    "js": """\
+/** One sample: so many Runge-Kutta steps of h seconds under held forces; out may be x. */
+export function sample(x, f, c, h, substeps, out = new Float64Array(6)) {
+    for (int k = 0; k < 6; k++) out[k] = x[k];
+    for (int k = 0; k < substeps; k++) rk4(out, f, c, h, out);
+    return out;
+}
+""",
+}
+
+
+def plant(to: str, rig: Rig | str | None = None, *, real: str = "double") -> str:
+    """Return the plant as a C99 header of static functions, or as an ES module.
+
+    It has ``lumped``, ``rates``, ``rk4``, ``sample``, ``energies`` and ``positions``, in C under names that begin
+    with ``dpend_``; and with a rig its numbers: coefficients, sample time, substeps, limits.
+
+    Parameters
+    ----------
+    to : {"c", "js"}
+        The language.
+    rig : Rig or str, optional
+        One rig, or the name of a preset.
+    real : {"double", "float"}
+        The type of numbers in C.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If there is no such language or type, or the rig is not one.
+    """
+    checked_name("to", to, LANGUAGES)
+    checked_name("real", real, REALS)
+    functions = "\n".join([*(_written(function, to) for function in _plant()), _SAMPLE[to]])
+    numbers = "" if rig is None else _numbers(single_rig(rig, "dpend.emit.plant"), to)
+    if to == "js":
+        return translated(f"{_ABOUT}\n{functions}{numbers}", to)
+    structures = "".join(
+        f"typedef struct {{ real {', '.join(names)}; }} dpend_{kind};\n"
+        for kind, names in {"parameters": _PARAMETERS, "coefficients": Coefficients._fields}.items()
+    )
+    code = f"#include <math.h>\n\n{structures}\n{functions}{numbers}"
+    return f"{_ABOUT}#ifndef DPEND_PLANT_H\n#define DPEND_PLANT_H\n\n{translated(code, to, real)}\n#endif\n"
+
+
+def number(value: float) -> str:
+    """Return a number as both languages write it, to the last bit of a double."""
+    return repr(float(value)).replace("inf", "INFINITY")
+
+
+def _numbers(rig: Rig, to: str) -> str:
+    clock = {"SAMPLE_TIME": number(rig.sample_time), "SUBSTEPS": str(rig.substeps),
+             "FORCE_LIMIT": number(float(rig.force_limit)), "TRACK_LIMIT": number(float(rig.track_limit))}  # fmt: skip
+    coefficients = {name: number(value) for name, value in rig.params.coefficients()._asdict().items()}
+    if to == "js":
+        listed = "".join(f"export const {name} = {value};\n" for name, value in clock.items())
+        return f"\n{listed}export const RIG = {{ {', '.join(f'{k}: {v}' for k, v in coefficients.items())} }};\n"
+    listed = "".join(f"#define DPEND_{name} {value}\n" for name, value in clock.items())
+    return f"\n{listed}static const dpend_coefficients dpend_rig = {{ {', '.join(coefficients.values())} }};\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the plant."""
+    parser = argparse.ArgumentParser(prog="python -m dpend.emit", description="Print the plant in another language.")
+    parser.add_argument("rig", nargs="?", help="the name of a preset, or a file.toml; left out, no numbers of a rig")
+    parser.add_argument("--to", choices=LANGUAGES, required=True, help="the language")
+    parser.add_argument("--real", choices=REALS, default="double", help="the type of numbers in C")
+    options = parser.parse_args(arguments)
+    try:
+        print(plant(options.to, options.rig, real=options.real), end="")
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
+
+
+if __name__ == "__main__":
+    main()
