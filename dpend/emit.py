@@ -41,7 +41,7 @@ class Number:
     """A number that records what is done to it, on the tape of what it came from.
 
     It adds, subtracts, multiplies and divides, and takes absolute values, squares and, as a power, the square root;
-    numpy's ``sin``, ``cos``, ``sqrt`` and ``rint`` call the methods of these names.
+    numpy's ``sin``, ``cos``, ``sqrt``, ``rint`` and ``tanh`` call the methods of these names.
     """
 
     __slots__ = ("place", "tape")
@@ -54,7 +54,11 @@ class Number:
     __mul__, __rmul__ = _recording("*"), _recording("*", swapped=True)
     __truediv__, __rtruediv__ = _recording("/"), _recording("/", swapped=True)
     __neg__, __abs__ = _recording("neg"), _recording("fabs")
-    sin, cos, sqrt, rint = (_recording(name) for name in ("sin", "cos", "sqrt", "rint"))
+    sin, cos, sqrt, rint, tanh = (_recording(name) for name in ("sin", "cos", "sqrt", "rint", "tanh"))
+    __eq__ = __hash__ = None  # type: ignore[assignment]
+
+    def __bool__(self) -> bool:
+        raise TypeError("a recorded number has no truth value, so that nothing can branch on it")
 
     def __pow__(self, power: float) -> Number:
         if power not in (0.5, 2):

@@ -1,0 +1,160 @@
+# pyright: reportMissingImports=false
+"""How fast the plant runs in each language: one process and one core for each, in turns, in one run.
+
+``python -m benchmarks.backends`` prints the table and the ratios.  Scalar steps are Runge-Kutta steps one after the
+other, from Python's point of view one call: numba's scalar step, C by the compiler ``cc -O2``, JavaScript in node.
+Batches are the closed loop with LQR of 4096 pendulums, every Runge-Kutta step counted: numba with ``simulate_many``,
+and ``dpend.jax_plant.rollout`` in double precision (extra ``jax``).  What is not installed is left out.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import numba
+import numpy as np
+import tyro
+from rich.console import Console
+
+import dpend
+from benchmarks.simulator import COPIES, SAMPLES, Comparison, Job, pin_to_one_core, report
+from controllers import LQR
+from dpend.emit import plant
+from dpend.kernels import OPTIONS, rk4
+from dpend.params import Coefficients
+
+SCALAR, BATCH = "numba, scalar step", f"numba, simulate_many, {COPIES} rows"
+RIG = dpend.rig("gustafsson2016")
+_START = (0.0, 0.2, -0.1, 0.0, 0.0, 0.0)  # from where the links fall, again and again
+
+_C = """
+double run(long n)
+{
+    double x[6] = START, f[3] = {0.0, 0.0, 0.0}, start[6] = START;
+    long k;
+    int i;
+    for (k = 0; k < n; k++) {
+        f[0] = k & 64 ? 5.0 : -5.0;
+        dpend_rk4(x, f, &dpend_rig, 0.01, x);
+        if (k % 300 == 299) for (i = 0; i < 6; i++) x[i] = start[i];
+    }
+    return x[1];
+}
+"""
+_JAVASCRIPT = """
+import { createInterface } from "node:readline";
+for await (const line of createInterface({ input: process.stdin })) {
+    const n = Number(line), start = [START], x = new Float64Array(start), f = new Float64Array(3);
+    for (let k = 0; k < n; k++) {
+        f[0] = k & 64 ? 5 : -5;
+        rk4(x, f, RIG, 0.01, x);
+        if (k % 300 === 299) x.set(start);
+    }
+    console.log(x[1]);
+}
+"""
+
+
+@numba.njit(**OPTIONS)
+def _run(n, c):
+    x = _START
+    for k in range(n):
+        x = rk4(x, (5.0 if k & 64 else -5.0, 0.0, 0.0), c, 0.01)
+        if k % 300 == 299:
+            x = _START
+    return x[1]
+
+
+def scalar_jobs(steps: int, folder: Path) -> dict[str, Job]:
+    """Return jobs that do so many steps one after the other; all must end in the same angle."""
+    c, start = Coefficients(*map(float, RIG.params.coefficients())), ", ".join(map(str, _START))
+    ends: dict[str, float] = {}
+
+    def counted(name: str, angle: float) -> int:
+        ends[name] = angle
+        if not np.allclose(list(ends.values()), ends[SCALAR], rtol=0, atol=1e-6):
+            raise RuntimeError(f"The plants end in different angles: {ends}.")
+        return steps
+
+    jobs: dict[str, Job] = {SCALAR: lambda: counted(SCALAR, _run(steps, c))}
+    if compiler := shutil.which("cc"):
+        source, library = folder / "run.c", folder / "run.so"
+        source.write_text(plant("c", RIG) + _C.replace("START", f"{{{start}}}"))
+        subprocess.run([compiler, "-std=c99", "-O2", "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
+        run = ctypes.CDLL(str(library)).run
+        run.restype, run.argtypes = ctypes.c_double, [ctypes.c_long]
+        jobs["C"] = lambda: counted("C", run(steps))
+    if node := shutil.which("node"):
+        module = folder / "run.mjs"
+        module.write_text(plant("js", RIG) + _JAVASCRIPT.replace("START", start))
+        process = subprocess.Popen([node, module], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert process.stdin is not None
+        assert process.stdout is not None
+        asked, answered = process.stdin, process.stdout
+
+        def javascript() -> int:
+            print(steps, file=asked, flush=True)
+            return counted("JavaScript", float(answered.readline()))
+
+        jobs["JavaScript"] = javascript
+    return jobs
+
+
+def batch_jobs(samples: int) -> dict[str, Job]:
+    """Return jobs that run closed loops of so many samples."""
+    lqr, steps = LQR(RIG), COPIES * samples * RIG.substeps
+    x0 = dpend.Balance(lam=0.1).starts(np.random.default_rng(0), COPIES, RIG)
+
+    def simulated() -> int:
+        dpend.simulate_many(RIG, lqr, x0, samples * RIG.sample_time, task=None)
+        return steps
+
+    jobs: dict[str, Job] = {BATCH: simulated}
+    if find_spec("jax"):
+        import jax
+
+        from dpend import jax_plant
+
+        jax.config.update("jax_enable_x64", True)
+        gain = lqr.K[0]
+        loop = jax.jit(lambda x0: jax_plant.rollout(RIG, lambda t, x: -x @ gain, x0, samples)[0][-1])
+
+        def rolled() -> int:
+            loop(x0).block_until_ready()
+            return steps
+
+        jobs[f"JAX on {jax.default_backend()}, rollout, {COPIES} rows"] = rolled
+    return jobs
+
+
+def main(quick: bool = False, repetitions: int = 10) -> None:
+    """Measure Runge-Kutta steps a second in each language.
+
+    Parameters
+    ----------
+    quick
+        A little of everything, to see that it runs; the figures mean little.
+    repetitions
+        Turns that each language gets; two at most with --quick.
+    """
+    if repetitions < 1:
+        raise SystemExit(f"--repetitions must be at least 1; got {repetitions}.")
+    pin_to_one_core()
+    with tempfile.TemporaryDirectory() as folder:
+        jobs = scalar_jobs(20_000 if quick else 1_000_000, Path(folder))
+        jobs |= batch_jobs(10 if quick else SAMPLES)
+        asked: dict[str, tuple[str, float]] = {"C": (SCALAR, 1.0), "JavaScript": (SCALAR, 0.1), "JAX": (BATCH, 0.2)}
+        comparisons: list[Comparison] = [
+            (name, *asked[language]) for name in jobs for language in asked if name.startswith(language)
+        ]
+        comparisons = [(name, peer, wanted) for name, peer, wanted in comparisons if name not in (SCALAR, BATCH)]
+        report(Console(), "Runge-Kutta steps, gustafsson2016", jobs, comparisons, min(repetitions, 2 if quick else 100))
+
+
+if __name__ == "__main__":
+    tyro.cli(main, prog="python -m benchmarks.backends")

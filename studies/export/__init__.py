@@ -1,0 +1,178 @@
+"""Control laws in other languages: whatever is a formula, as C99 or as an ES module, with what it takes to check it.
+
+``python -m studies.export ppo-swing-up --to c --out law`` writes a folder with the law, a header that says states,
+order, units, clock and limits, the plant, a test vector from Python, and a program that holds the law to it.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import dpend
+from dpend import Balance, SwingUp
+from dpend.arguments import checked_name
+from dpend.controller import Controller, Law, as_controller, name_of
+from dpend.emit import LANGUAGES, REALS, RINT, number, plant, translated
+from dpend.params import Array
+from dpend.rig import Rig, single_rig
+from dpend.state import NAMES, UNITS
+from dpend.suggest import suggestion
+from rl import load_policy
+
+from .._field import CONTENDERS
+from .._own import load_own
+from .laws import OWN, NotExportable, law_of
+
+__all__ = ["NotExportable", "controller_named", "export", "files", "vector"]
+
+_TEMPLATES = Path(__file__).parent / "templates"
+_SECONDS = 6.0
+
+
+def controller_named(name: str, rig: Rig) -> Controller:
+    """Return the controller for a rig that a name stands for.
+
+    Parameters
+    ----------
+    name : str
+        A contender of the comparisons, such as ``"TVLQR"``; a shipped policy, such as ``"ppo-swing-up"``, or the file
+        of one; or ``path.py:factory`` or ``module:factory``, as the studies take it.
+    rig : Rig
+        What the controller believes.
+
+    Raises
+    ------
+    OSError, ValueError
+        If there is none.
+    """
+    if ":" in name:
+        return load_own(name, rig).make(rig)
+    for contender in CONTENDERS:
+        if contender.name == name:
+            return contender.make(rig, Balance() if "balance" in contender.tasks else SwingUp())
+    try:
+        policy: Any = load_policy(name)
+    except FileNotFoundError:
+        known = [each.name for each in CONTENDERS]
+        raise ValueError(f"No contender, shipped policy or file is called {name!r}.{suggestion(name, known)}") from None
+    return policy
+
+
+_FILES = {"c": ("law.h", "law.c", "check.c", "README.md"), "js": ("law.mjs", "check.mjs", "README.md")}
+
+
+def _table(name: str, values: npt.NDArray[np.float64], to: str) -> str:
+    listed = textwrap.fill(
+        ", ".join(map(number, values.tolist())), 120, initial_indent="    ", subsequent_indent="    "
+    )
+    if to == "js":
+        return f"const {name} = new Float64Array([\n{listed},\n]);\n"
+    return f"static const real {name}[{values.size}] = {{\n{listed}\n}};\n"
+
+
+def _about(controller: Controller, rig: Rig, memory: int, to: str) -> str:
+    """Return what the law is, in a comment, and its numbers."""
+    states = ", ".join(f"{name} [{unit}]" for name, unit in zip(NAMES, UNITS, strict=True))
+    numbers = {"SAMPLE_TIME": (rig.sample_time, "s: call it at this rate"), "FORCE_LIMIT": (rig.force_limit, "N"),
+               "TRACK_LIMIT": (rig.track_limit, "m, either way"), "MEMORY": (memory, "numbers")}  # fmt: skip
+    said = f"""\
+/* {" ".join(repr(controller).strip("<>").replace("*/", "").split())}.
+ * Measurements: {states};
+ * angles absolute, from the vertical, 0 = up, positive leans to +pos.  It returns the force on the cart, N, limited.
+ * Where a measurement is missing (NaN) the last one counts; before the first there is no force. */
+"""
+    for name, (value, unit) in numbers.items():
+        text = str(value) if isinstance(value, int) else number(float(value))
+        said += (
+            f"#define LAW_{name} {text} /* {unit} */\n" if to == "c" else f"export const {name} = {text}; // {unit}\n"
+        )
+    return said
+
+
+def vector(controller: Controller, rig: Rig) -> Array:
+    """Return measurements and the forces that the controller answers with, rows ``(run, 6 measurements, force)``.
+
+    Six seconds near upright, from a start of ``Balance(lam=0.1)``, and six from hanging, on the rig.
+    """
+    near = Balance(lam=0.1).starts(np.random.default_rng(0), 1, rig)[0]
+    rows = []
+    for k, x0 in enumerate((near, dpend.EQUILIBRIA["down-down"])):
+        run = dpend.simulate(rig, controller, x0, _SECONDS, task=None)
+        act = controller.start(1, np.random.default_rng(0))
+        for j, y in enumerate(run.y[: len(run.u)]):
+            force = float(act(j * rig.sample_time, y[None])[0])
+            rows.append([k, *y, float(np.clip(force, -rig.force_limit, rig.force_limit))])
+    return np.array(rows)
+
+
+def files(controller: Controller, rig: Rig, to: str, real: str = "double") -> dict[str, str]:
+    """Return what :func:`export` writes: texts by the names of their files."""
+    law, rows, limit = law_of(controller, rig), vector(controller, rig), float(rig.force_limit)
+    memory = [0.0] * OWN + list(law.memory)
+    scale = limit if math.isfinite(limit) else float(np.abs(rows[:, -1]).max())
+    words = {
+        "name": name_of(controller),
+        "about": _about(controller, rig, len(memory), to),
+        "allowed": (1e-9 if real == "double" else 1e-3) * scale,
+        "tables": "\n".join(_table(name, values, to) for name, values in law.tables.items()),
+        "memory": "".join(f"    m[{i}] = {number(each)};\n" for i, each in enumerate(memory) if each),
+        "lines": textwrap.indent("\n".join(law.lines), "    "),
+        "limit": f"    u = u > {limit!r} ? {limit!r} : u < -{limit!r} ? -{limit!r} : u;\n"
+        if math.isfinite(limit)
+        else "",
+        "rint": RINT if any("rint(" in line for line in law.lines) else "",
+    }
+    texts = {
+        name: Template((_TEMPLATES / to / name).read_text(encoding="utf-8")).substitute(words) for name in _FILES[to]
+    }
+    return {
+        **{name: text if name == "README.md" else translated(text, to, real) for name, text in texts.items()},
+        "plant.h" if to == "c" else "plant.mjs": plant(to, rig, real=real),
+        "vector.csv": "".join(f"{int(run)},{','.join(map(repr, row))}\n" for run, *row in rows.tolist()),
+    }
+
+
+def export(controller: Controller | Law, rig: Rig | str, to: str, folder: str | Path, *, real: str = "double") -> Path:
+    """Write a control law in another language into a folder, with what it takes to check it and to use it.
+
+    Parameters
+    ----------
+    controller : Controller or function
+        A linear law, its sign, linear Q-learning's, Gaussian actor-critic's mean, TVLQR, a network policy, or a
+        function ``law(t, x)`` that does not branch.
+    rig : Rig or str
+        One rig, or the name of a preset: its clock, its limits, and the plant that is written beside the law.
+    to : {"c", "js"}
+        The language.
+    folder : str or Path
+        Where to write; made if need be.
+    real : {"double", "float"}
+        The type of numbers in C.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    NotExportable
+        If the law is no formula; the message says why.
+    ValueError
+        If there is no such language or type.
+    """
+    checked_name("to", to, LANGUAGES)
+    checked_name("real", real, REALS)
+    texts = files(as_controller(controller), single_rig(rig, "export"), to, real)
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder

@@ -1,0 +1,238 @@
+"""A law in another language is the law: run there and here, on the same measurements and in a closed loop."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import foreign
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from rigs import whole
+
+import dpend
+from controllers import LQR, NMPC, SDRE, TVLQR, BangBang, Constant, RateLimit, SwitchingController, tuned_law
+from rl import TableOneMean, load_policy
+from studies.export import NotExportable, controller_named, export, files
+
+RIG = dpend.rig("gustafsson2016")
+K = LQR(RIG).K[0]
+FOLDED = np.array([0.4, 0.0, np.pi, 0.0, 0.0, 0.0])
+STARTS = {"TVLQR by time": dpend.EQUILIBRIA["down-down"], "LQR of the folded links": FOLDED + 0.05 * np.eye(6)[1]}
+"""Where loops start, if not within 0.1 rad of upright."""
+SAMPLES = 300
+
+
+def wavering(t: Any, x: Any) -> Any:
+    return 2 * np.sin(3 * t) - K @ x + np.tanh(x[0]) / (1 + abs(x[3])) - x[4] ** 2
+
+
+def mean(indicators: str, count: int) -> TableOneMean:
+    """Return a law over Table 1 that balances for a while, with indicators that matter."""
+    v = np.random.default_rng(0).normal(size=12 + count)
+    v[1:12:2] -= K
+    return TableOneMean(v, indicators)
+
+
+LAWS: dict[str, Callable[[], Any]] = {
+    "constant": lambda: Constant(-3.0),
+    "LQR": lambda: LQR(RIG),
+    "LQR of the folded links": lambda: LQR(RIG, target=FOLDED),
+    "sign of LQR": lambda: BangBang(LQR(RIG), 40.0),
+    "tuned gain": lambda: tuned_law(RIG, "gain"),
+    "tuned sign": lambda: tuned_law(RIG, "sign"),
+    "TVLQR": lambda: TVLQR(RIG),
+    "TVLQR by time": lambda: TVLQR(RIG, index="time"),
+    "mean": lambda: mean("none", 0),
+    "mean with signs": lambda: mean("signs", 3),
+    "mean with cells": lambda: mean("cells", 8),
+    "function": lambda: wavering,
+    **{
+        name: lambda name=name: load_policy(name)
+        for name in ("q-tuned", "lspi", "qac-tuned", "ppo-swing-up", "ppo-swing-up-smooth", "ddpg-balance")
+    },
+}
+JUMPS = {"sign of LQR", "tuned sign", "q-tuned", "mean with signs", "mean with cells"}
+"""Their loops magnify a rounding: between two jumps of the force nothing holds them to a motion."""
+
+QUICK = {"LQR", "q-tuned", "ppo-swing-up"}
+
+_C = """\
+#include "law.h"
+#include "plant.h"
+#include <stdio.h>
+int main(void)
+{
+    double m[LAW_MEMORY], x[6], f[3] = {0.0, 0.0, 0.0};
+    int k;
+    law_reset(m);
+    if (fread(x, sizeof x, 1, stdin) != 1) return 1;
+    for (k = 0; k < SAMPLES; k++) {
+        f[0] = law_act(m, x);
+        fwrite(f, sizeof f[0], 1, stdout);
+        dpend_sample(x, f, &dpend_rig, DPEND_SAMPLE_TIME / DPEND_SUBSTEPS, DPEND_SUBSTEPS);
+    }
+    return 0;
+}
+"""
+_JAVASCRIPT = """\
+import { readFileSync, writeSync } from "node:fs";
+import { act, reset } from "./law.mjs";
+import { RIG, SAMPLE_TIME, SUBSTEPS, sample } from "./plant.mjs";
+const bytes = readFileSync(0), x = new Float64Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + 48));
+const m = reset(), forces = new Float64Array(SAMPLES);
+for (let k = 0; k < SAMPLES; k++) {
+    forces[k] = act(m, x);
+    sample(x, [forces[k], 0, 0], RIG, SAMPLE_TIME / SUBSTEPS, SUBSTEPS, x);
+}
+writeSync(1, Buffer.from(forces.buffer));
+"""
+
+
+def checked(folder: Path, to: str) -> str:
+    """Run the check that comes with a law; return what it prints."""
+    if to == "c":
+        command = foreign.build("gcc", folder, (folder / "check.c").read_text(), folder / "law.c")
+    else:
+        command = foreign.script(folder, (folder / "check.mjs").read_text())
+    with (folder / "vector.csv").open() as vector:
+        done = subprocess.run(command, stdin=vector, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("to", ["c", "js"])
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in LAWS]
+)
+def test_an_exported_law_answers_and_balances_as_in_python(name: str, to: str, tmp_path: Path) -> None:
+    law = LAWS[name]()
+    folder = export(law, RIG, to, tmp_path)
+    assert int(checked(folder, to).split()[0]) > 100
+    if name in JUMPS:
+        return
+    if to == "c":
+        command = foreign.build("gcc", folder, _C.replace("SAMPLES", str(SAMPLES)), folder / "law.c")
+    else:
+        command = foreign.script(folder, _JAVASCRIPT.replace("SAMPLES", str(SAMPLES)))
+    x0 = STARTS.get(name, np.array([0.0, 0.08, -0.06, 0.0, 0.0, 0.0]))
+    expected = dpend.simulate(RIG.replace(track_limit=np.inf), law, x0, SAMPLES * RIG.sample_time, task=None).u
+    allowed = 1e-5 if hasattr(law, "network") else 1e-9
+    assert_allclose(foreign.run(command, x0) / 40, expected / 40, rtol=0, atol=allowed)
+
+
+@pytest.mark.parametrize("name", ["LQR", "q-tuned", "ppo-swing-up", "TVLQR"])
+def test_a_law_in_single_precision_compiles_and_differs_by_its_rounding(name: str, tmp_path: Path) -> None:
+    folder = export(LAWS[name](), RIG, "c", tmp_path, real="float")
+    assert "double" not in (folder / "law.c").read_text() + (folder / "law.h").read_text()
+    assert "forces, at most" in checked(folder, "c")
+
+
+@pytest.mark.parametrize("to", ["c", "js"])
+def test_where_a_measurement_is_missing_the_last_one_counts(to: str, tmp_path: Path) -> None:
+    y = np.random.default_rng(0).normal(size=(60, 6))
+    y[[0, 1, 10, 11, 30], [0, 3, 1, 5, 2]] = [np.nan, np.inf, np.nan, -np.inf, np.nan]
+    lqr = LQR(RIG)
+    act = lqr.start(1, np.random.default_rng(0))
+    expected = np.clip([float(act(0.0, row[None])[0]) for row in y], -40, 40)
+    assert_array_equal(expected[:2], 0)
+    folder = export(lqr, RIG, to, tmp_path)
+    rows = (f"0,{','.join(map(repr, [*row.tolist(), u]))}" for row, u in zip(y, expected.tolist(), strict=True))
+    (folder / "vector.csv").write_text("\n".join(rows).replace("inf", "Infinity" if to == "js" else "inf"))
+    if to == "js":
+        (folder / "vector.csv").write_text((folder / "vector.csv").read_text().replace("nan", "NaN"))
+    assert checked(folder, to).startswith("60 forces")
+
+
+def test_the_loop_of_the_readme_compiles(tmp_path: Path) -> None:
+    folder = export(LQR(RIG), RIG, "c", tmp_path)
+    (loop,) = re.findall(r"```c\n(.*?)```", (folder / "README.md").read_text(), flags=re.DOTALL)
+    board = "static int read_encoders(double *y) { return (y[0] = y[1] = y[2] = 0.0) == 0.0; }\n"
+    board += "static int late(void) { return 0; }\nstatic void set_force(double u) { (void)u; }\n"
+    board += "static void kick_watchdog(void) { }\nvoid every_sample(void);\n"
+    run = "int main(void) { law_reset(m); every_sample(); return 0; }\n"
+    foreign.build("gcc", folder, board + loop + run, folder / "law.c")
+
+
+def test_the_header_says_states_units_clock_and_limits() -> None:
+    header = files(LQR("pilco2011"), dpend.rig("pilco2011"), "c", "float")["law.h"]
+    assert "pos [m], th1 [rad], th2 [rad], vel [m/s], om1 [rad/s], om2 [rad/s]" in header
+    assert "#define LAW_SAMPLE_TIME 0.05f /* s: call it at this rate */" in header
+    assert "#define LAW_FORCE_LIMIT 20.0f /* N */" in header
+    assert (
+        "export const FORCE_LIMIT = Infinity; // N"
+        in files(LQR("bogdanov2004"), dpend.rig("bogdanov2004"), "js")["law.mjs"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("controller", "message"),
+    [
+        (lambda: SDRE(RIG), "SDRE cannot be exported: it solves a Riccati equation at every sample."),
+        (
+            lambda: NMPC(RIG),
+            "NMPC cannot be exported: it solves an optimal-control problem at every sample, with CasADi's solvers.",
+        ),
+        (
+            lambda: SwitchingController(RIG, LQR(RIG)),
+            None,
+        ),
+        (
+            lambda: RateLimit(RIG, LQR(RIG), 100.0),
+            "LQR, at most 100 N/s cannot be exported: it is a wrapper with memory; export the law that it wraps, its "
+            "`controller`.",
+        ),
+    ],
+)
+def test_what_is_no_formula_is_refused_with_the_reason(controller: Callable[[], Any], message: str | None) -> None:
+    with pytest.raises(NotExportable, match=message and whole(message)):
+        files(controller(), RIG, "c")
+
+
+def test_a_function_that_branches_or_remembers_is_refused() -> None:
+    calls: list[int] = []
+
+    def growing(t: float, x: Any) -> Any:
+        calls.append(0)
+        return len(calls) * x[0]
+
+    truth = "a recorded number has no truth value, so that nothing can branch on it"
+    for law, why in (
+        (lambda t, x: 1.0 if x[1] > 0 else -1.0, "'>' not supported between instances of 'Number' and 'int')."),
+        (lambda t, x: 1.0 if x[1] else -1.0, f"arithmetic, sines and cosines without a branch ({truth})."),
+        (growing, "it computes something else when it is called again, so it has a memory."),
+    ):
+        with pytest.raises(NotExportable, match=re.escape(why) + "$"):
+            export(law, RIG, "c", "nowhere")
+    assert not Path("nowhere").exists()
+
+
+def test_names_stand_for_contenders_policies_and_functions_of_ones_own(tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text("def steady(t, x):\n    return -3.0 * x[0]\n")
+    assert isinstance(controller_named("TVLQR", RIG), TVLQR)
+    assert repr(controller_named("ppo-balance", RIG)) == repr(load_policy("ppo-balance"))
+    assert "u = (-3.0) * m0;" in files(controller_named(f"{own}:steady", RIG), RIG, "c")["law.c"]
+    with pytest.raises(
+        ValueError, match=r"^No contender, shipped policy or file is called 'TVLQ'\. Did you mean 'TVLQR'\?$"
+    ):
+        controller_named("TVLQ", RIG)
+
+
+def test_the_command_writes_the_folder_or_says_why_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["export", "lspi", "--to", "js", "--out", str(tmp_path / "law")])
+    runpy.run_module("studies.export", run_name="__main__")
+    names = {"law.mjs", "plant.mjs", "check.mjs", "vector.csv", "README.md"}
+    assert {file.name for file in (tmp_path / "law").iterdir()} == names
+    monkeypatch.setattr("sys.argv", ["export", "SDRE", "--to", "c", "--out", str(tmp_path / "other")])
+    with pytest.raises(SystemExit):
+        runpy.run_module("studies.export", run_name="__main__")
+    assert capsys.readouterr().err == "SDRE cannot be exported: it solves a Riccati equation at every sample.\n"
+    assert not (tmp_path / "other").exists()
