@@ -22,9 +22,11 @@ from . import equations
 from .arguments import checked_name
 from .params import Coefficients, Params
 from .rig import Rig, single_rig
+from .trigonometry import make_sines
 
 LANGUAGES = ("c", "js")
 REALS = ("double", "float")
+SINES = ("library", "inline")
 
 _SUM, _PRODUCT, _ATOM = 1, 2, 3  # how tightly an expression binds
 _BINARY = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT}
@@ -175,8 +177,9 @@ def _coefficients(p: Any) -> Coefficients:
     return Params.coefficients(p)
 
 
-def _plant() -> tuple[_Function, ...]:
-    rates = equations.make_rates(np.sin, np.cos)
+def _plant(sines: str) -> tuple[_Function, ...]:
+    sin, cos = (np.sin, np.cos) if sines == "library" else make_sines(np.rint)
+    rates = equations.make_rates(sin, cos)
     x, c = {"x": 6}, {"c": Coefficients._fields}
     return (
         _Function("lumped", "Lumped coefficients of masses, lengths, centres, inertias, frictions and gravity.",
@@ -185,9 +188,9 @@ def _plant() -> tuple[_Function, ...]:
                   x | {"f": 3} | c, 6, rates),
         _Function("rk4", "The state h seconds later under held forces, by one Runge-Kutta step; out may be x.",
                   x | {"f": 3} | c | {"h": None}, 6, equations.make_rk4(rates)),
-        _Function("energies", "Kinetic and potential energy, J.", x | c, 2, equations.make_energies(np.cos)),
+        _Function("energies", "Kinetic and potential energy, J.", x | c, 2, equations.make_energies(cos)),
         _Function("positions", "Second joint and tip, (x, y) each, m; heights above the cart's joint.",
-                  x | c, 4, equations.make_positions(np.sin, np.cos)),
+                  x | c, 4, equations.make_positions(sin, cos)),
     )  # fmt: skip
 
 
@@ -240,7 +243,7 @@ export function sample(x, f, c, h, substeps, out = new Float64Array(6)) {
 }
 
 
-def plant(to: str, rig: Rig | str | None = None, *, real: str = "double") -> str:
+def plant(to: str, rig: Rig | str | None = None, *, real: str = "double", sines: str = "library") -> str:
     """Return the plant as a C99 header of static functions, or as an ES module.
 
     It has ``lumped``, ``rates``, ``rk4``, ``sample``, ``energies`` and ``positions``, in C under names that begin
@@ -254,6 +257,9 @@ def plant(to: str, rig: Rig | str | None = None, *, real: str = "double") -> str
         One rig, or the name of a preset.
     real : {"double", "float"}
         The type of numbers in C.
+    sines : {"library", "inline"}
+        Whether sine and cosine are the library's, or the polynomials of :mod:`dpend.trigonometry`, written out: on a PC
+        these are faster, and C and JavaScript then agree to the last bit.
 
     Raises
     ------
@@ -262,10 +268,11 @@ def plant(to: str, rig: Rig | str | None = None, *, real: str = "double") -> str
     """
     checked_name("to", to, LANGUAGES)
     checked_name("real", real, REALS)
-    functions = "\n".join([*(_written(function, to) for function in _plant()), _SAMPLE[to]])
+    checked_name("sines", sines, SINES)
+    functions = "\n".join([*(_written(function, to) for function in _plant(sines)), _SAMPLE[to]])
     numbers = "" if rig is None else _numbers(single_rig(rig, "dpend.emit.plant"), to)
     if to == "js":
-        return translated(f"{_ABOUT}\n{functions}{numbers}", to)
+        return translated(f"{_ABOUT}\n{RINT if sines == 'inline' else ''}{functions}{numbers}", to)
     structures = "".join(
         f"typedef struct {{ real {', '.join(names)}; }} dpend_{kind};\n"
         for kind, names in {"parameters": _PARAMETERS, "coefficients": Coefficients._fields}.items()
@@ -296,9 +303,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("rig", nargs="?", help="the name of a preset, or a file.toml; left out, no numbers of a rig")
     parser.add_argument("--to", choices=LANGUAGES, required=True, help="the language")
     parser.add_argument("--real", choices=REALS, default="double", help="the type of numbers in C")
+    parser.add_argument("--sines", choices=SINES, default=SINES[0], help="from the library, or written out")
     options = parser.parse_args(arguments)
     try:
-        print(plant(options.to, options.rig, real=options.real), end="")
+        print(plant(options.to, options.rig, real=options.real, sines=options.sines), end="")
     except (OSError, ValueError) as error:
         parser.error(str(error))
 

@@ -26,8 +26,10 @@ from .arguments import checked_name
 from .rig import Rig, as_rig, single_rig
 from .status import Status
 from .tasks import STARTS, Balance, SwingUp
+from .trigonometry import make_sines
 
-_rates = equations.make_rates(jnp.sin, jnp.cos)
+# XLA calls the library for each sine in double precision, and does so anew in every kernel that needs it.
+_rates = equations.make_rates(*make_sines(jnp.rint))
 _rk4 = equations.make_rk4(_rates)
 
 
@@ -57,11 +59,15 @@ def step(rig: Rig, x: Any, u: Any) -> Any:
 
     The rig limits the forces; its sensors and actuator are ideal.  A rig of ``(N,)`` rows takes states ``(N, 6)``.
     """
-    u = jnp.clip(u, -rig.force_limit, rig.force_limit)
-    state: Any = tuple(jnp.moveaxis(jnp.asarray(x), -1, 0))
-    for _ in range(rig.substeps):
-        state = _rk4(state, (u, 0.0, 0.0), rig.params.coefficients(), rig.sample_time / rig.substeps)
-    return jnp.stack(jnp.broadcast_arrays(*state), axis=-1)
+    state = jnp.broadcast_arrays(*jnp.moveaxis(jnp.asarray(x, dtype=float), -1, 0), jnp.asarray(u, dtype=float))
+    return jnp.stack(_sample(rig, tuple(state[:6]), state[6]), axis=-1)
+
+
+def _sample(rig: Rig, x: Any, u: Any) -> Any:
+    """Return six arrays a sample later; a loop and no stacks, or XLA computes a step anew for each of its results."""
+    f, h = (jnp.clip(u, -rig.force_limit, rig.force_limit), 0.0, 0.0), rig.sample_time / rig.substeps
+    c = rig.params.coefficients()
+    return jax.lax.fori_loop(0, rig.substeps, lambda _, x: _rk4(x, f, c, h), x)
 
 
 def rollout(rig: Rig | str, law: Callable[[Any, Any], Any], x0: Any, steps: int) -> tuple[Any, Any]:
@@ -92,13 +98,13 @@ def rollout(rig: Rig | str, law: Callable[[Any, Any], Any], x0: Any, steps: int)
     rig = _ideal(as_rig(rig))
 
     def sample(x: Any, k: Any) -> Any:
-        u = jnp.clip(law(k * rig.sample_time, x), -rig.force_limit, rig.force_limit)
-        after = step(rig, x, u)
+        u = jnp.clip(law(k * rig.sample_time, jnp.stack(x, axis=-1)), -rig.force_limit, rig.force_limit)
+        after = _sample(rig, x, u)
         return after, (after, u)
 
-    start = jnp.asarray(x0, dtype=float)
+    start = tuple(jnp.moveaxis(jnp.asarray(x0, dtype=float), -1, 0))
     _, (x, u) = jax.lax.scan(sample, start, jnp.arange(steps))
-    return jnp.concatenate([start[None], x]), u
+    return jnp.stack([jnp.concatenate([one[None], all_]) for one, all_ in zip(start, x, strict=True)], axis=-1), u
 
 
 def _ideal(rig: Rig) -> Rig:

@@ -57,7 +57,7 @@ LAWS: dict[str, Callable[[], Any]] = {
         for name in ("q-tuned", "lspi", "qac-tuned", "ppo-swing-up", "ppo-swing-up-smooth", "ddpg-balance")
     },
 }
-JUMPS = {"sign of LQR", "tuned sign", "q-tuned", "mean with signs", "mean with cells"}
+JUMPS = {"sign of LQR", "tuned sign", "q-tuned"}
 """Their loops magnify a rounding: between two jumps of the force nothing holds them to a motion."""
 
 QUICK = {"LQR", "q-tuned", "ppo-swing-up"}

@@ -47,6 +47,14 @@ def test_rates_and_samples_are_those_of_python() -> None:
         assert error.max() < 1e-12
 
 
+def test_derivatives_of_a_sample_are_those_of_the_linearized_plant() -> None:
+    rig = dpend.rig("gustafsson2016").replace(sample_time=1e-3)
+    A, B = dpend.discretize(*dpend.linearize(rig.params), rig.sample_time)
+    slopes = jax.jacfwd(lambda x, u: jax_plant.step(rig, x, u), (0, 1))(np.zeros(6), 0.0)
+    assert_allclose(slopes[0], A, atol=1e-10)
+    assert_allclose(slopes[1][:, None], B, atol=1e-10)
+
+
 def test_a_closed_loop_is_that_of_the_simulator() -> None:
     rig = dpend.rig("gustafsson2016")
     lqr = LQR(rig)
