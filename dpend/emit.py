@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,120 +21,12 @@ from . import equations
 from .arguments import checked_name
 from .params import Coefficients, Params
 from .rig import Rig, single_rig
+from .tape import Tape, number
 from .trigonometry import make_sines
 
 LANGUAGES = ("c", "js")
 REALS = ("double", "float")
 SINES = ("library", "inline")
-
-_SUM, _PRODUCT, _ATOM = 1, 2, 3  # how tightly an expression binds
-_BINARY = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT}
-
-
-def _recording(operation: str, swapped: bool = False) -> Callable[..., Number]:
-    def method(*operands: Any) -> Number:
-        return operands[0].tape.put(operation, *(operands[::-1] if swapped else operands))
-
-    return method
-
-
-class Number:
-    """A number that records what is done to it, on the tape of what it came from.
-
-    It adds, subtracts, multiplies and divides, and takes absolute values, squares and, as a power, the square root;
-    numpy's ``sin``, ``cos``, ``sqrt``, ``rint`` and ``tanh`` call the methods of these names.
-    """
-
-    __slots__ = ("place", "tape")
-
-    def __init__(self, tape: Tape, place: int) -> None:
-        self.tape, self.place = tape, place
-
-    __add__, __radd__ = _recording("+"), _recording("+", swapped=True)
-    __sub__, __rsub__ = _recording("-"), _recording("-", swapped=True)
-    __mul__, __rmul__ = _recording("*"), _recording("*", swapped=True)
-    __truediv__, __rtruediv__ = _recording("/"), _recording("/", swapped=True)
-    __neg__, __abs__ = _recording("neg"), _recording("fabs")
-    sin, cos, sqrt, rint, tanh = (_recording(name) for name in ("sin", "cos", "sqrt", "rint", "tanh"))
-    __eq__ = __hash__ = None  # type: ignore[assignment]
-
-    def __bool__(self) -> bool:
-        raise TypeError("a recorded number has no truth value, so that nothing can branch on it")
-
-    def __pow__(self, power: float) -> Number:
-        if power not in (0.5, 2):
-            raise ValueError(f"A recorded number takes the powers 2 and 0.5; got {power!r}.")
-        return self.sqrt() if power == 0.5 else self.tape.put("*", self, self)
-
-
-class Tape:
-    """What was done to the numbers of a computation, each different operation once."""
-
-    def __init__(self) -> None:
-        self._places: dict[tuple[Any, ...], int] = {}
-        self._nodes: list[tuple[str, list[Any]]] = []
-
-    def put(self, operation: str, *operands: Any) -> Number:
-        """Return the result of an operation on numbers, or on words that name an input."""
-        places = [each if isinstance(each, str) else self._place(each) for each in operands]
-        key = (operation, *(sorted(places) if operation in "+*" else places))
-        if key not in self._places:
-            self._places[key] = len(self._nodes)
-            self._nodes.append((operation, places))
-        return Number(self, self._places[key])
-
-    def _place(self, operand: Any) -> int:
-        return operand.place if isinstance(operand, Number) else self.put("constant", repr(float(operand))).place
-
-    def inputs(self, name: str, entries: int | Iterable[str] | None) -> Any:
-        """Return numbers that stand for an array of so many entries, the fields of a structure, or a number."""
-        if entries is None:
-            return self.put("input", name)
-        if isinstance(entries, int):
-            return [self.put("input", f"{name}[{i}]") for i in range(entries)]
-        return SimpleNamespace(**{field: self.put("input", f"{name}->{field}") for field in entries})
-
-    def lines(self, results: dict[str, Any]) -> list[str]:
-        """Return the statements that compute results and assign them to places, in the common form of both languages.
-
-        Inputs are read before any result is written, so that a result may be written over an input.
-        """
-        wanted = {name: self._place(value) for name, value in results.items()}
-        uses = [0] * len(self._nodes)
-        for place in wanted.values():
-            uses[place] += 2 if len(wanted) > 1 else 1
-        for place, (operation, operands) in reversed([*enumerate(self._nodes)]):
-            if uses[place] and operation not in ("constant", "input"):
-                for operand in operands:
-                    uses[operand] += 1
-        written: dict[int, tuple[str, int]] = {}
-        lines: list[str] = []
-        for place, (operation, operands) in enumerate(self._nodes):
-            if not uses[place]:
-                continue
-            text, binds = _expression(operation, [written.get(each, each) for each in operands])
-            entry = operation == "input" and "[" in text
-            if entry or (uses[place] > 1 and operation not in ("constant", "input")):
-                name = re.sub(r"\W", "", text) if entry else f"t{len(lines)}"
-                lines.append(f"const real {name} = {text};")
-                text, binds = name, _ATOM
-            written[place] = text, binds
-        return lines + [f"{name} = {written[place][0]};" for name, place in wanted.items()]
-
-
-def _expression(operation: str, operands: list[Any]) -> tuple[str, int]:
-    if operation in ("constant", "input"):
-        return operands[0], _SUM if operands[0].startswith("-") else _ATOM
-    if operation not in _BINARY:
-        (text, binds), *_ = operands
-        if operation != "neg":
-            return f"{operation}({text})", _ATOM
-        return f"-{text}" if binds == _ATOM else f"-({text})", _SUM
-    binds = _BINARY[operation]
-    (left, left_binds), (right, right_binds) = operands
-    left = left if left_binds >= binds else f"({left})"
-    right = right if right_binds > binds else f"({right})"  # what is grouped stays grouped, to the last bit
-    return f"{left} {operation} {right}", binds
 
 
 def translated(text: str, to: str, real: str = "double") -> str:
@@ -144,17 +35,24 @@ def translated(text: str, to: str, real: str = "double") -> str:
     The common form is C with ``real`` for the type; of the mathematical library ``sin``, ``cos``, ``sqrt``, ``fabs``,
     ``tanh`` and ``rint``; and names that begin with ``dpend_``, which JavaScript drops.
     """
+    parts = re.split(r"(/\*.*?\*/|//[^\n]*)", text, flags=re.DOTALL)
+    return "".join(
+        part if i % 2 else _code(part, to, real) for i, part in enumerate(parts)
+    )  # comments stay as they are
+
+
+def _code(text: str, to: str, real: str) -> str:
     mathematics = r"\b(sin|cos|sqrt|fabs|tanh|rint)\("
     if to == "c":
         if real == "float":
             text = re.sub(mathematics, r"\1f(", re.sub(r"(?<![\w.])(\d+\.\d*(e[-+]?\d+)?|\d+e[-+]?\d+)", r"\1f", text))
         return re.sub(r"\breal\b", real, text)
     text = re.sub(r"\b(real|int)\b", "let", re.sub(r"\bconst real\b", "const", text))
-    text = re.sub(mathematics, lambda found: _IN_JAVASCRIPT.get(found[1], f"Math.{found[1]}") + "(", text)
+    own = {"fabs": "Math.abs(", "rint": "rint("}
+    text = re.sub(mathematics, lambda found: own.get(found[1], f"Math.{found[0]}"), text)
     return text.replace("->", ".").replace("dpend_", "").replace("INFINITY", "Infinity")
 
 
-_IN_JAVASCRIPT = {"fabs": "Math.abs", "rint": "rint"}
 RINT = "const rint = (v) => v + 6755399441055744 - 6755399441055744; // to even, as C rounds; |v| < 2^51\n"
 """What JavaScript lacks."""
 
@@ -195,27 +93,24 @@ def _plant(sines: str) -> tuple[_Function, ...]:
 
 
 def _written(function: _Function, to: str) -> str:
-    tape = Tape()
+    tape, gives = Tape(), function.gives
     results = function.compute(*(tape.inputs(name, entries) for name, entries in function.takes.items()))
-    places = [f"out[{i}]" for i in range(function.gives)] if isinstance(function.gives, int) else [
-        f"out->{name}" for name in function.gives
-    ]  # fmt: skip
+    places = [f"out[{i}]" for i in range(gives)] if isinstance(gives, int) else [f"out->{name}" for name in gives]
     body = "".join(f"    {line}\n" for line in tape.lines(dict(zip(places, results, strict=True))))
     if to == "c":
         taken = [_argument(name, entries, "const ") for name, entries in function.takes.items()]
-        heading = f"static inline void dpend_{function.name}({', '.join([*taken, _argument('out', function.gives)])})"
+        heading = f"static inline void dpend_{function.name}({', '.join([*taken, _argument('out', gives)])})"
         return f"/* {function.does} */\n{heading}\n{{\n{body}}}\n"
-    fresh = f"new Float64Array({function.gives})" if isinstance(function.gives, int) else "{}"
+    fresh = f"new Float64Array({gives})" if isinstance(gives, int) else "{}"
     heading = f"export function {function.name}({', '.join(function.takes)}, out = {fresh})"
     return f"/** {function.does} */\n{heading} {{\n{body}    return out;\n}}\n"
 
 
 def _argument(name: str, entries: int | Sequence[str] | None, const: str = "") -> str:
-    if entries is None:
-        return f"real {name}"
     if isinstance(entries, int):
         return f"{const}real {name}[{entries}]"
-    return f"{const}dpend_{'parameters' if entries == _PARAMETERS else 'coefficients'} *{name}"
+    kind = "parameters" if entries == _PARAMETERS else "coefficients"
+    return f"{const}dpend_{kind} *{name}" if entries else f"real {name}"
 
 
 _ABOUT = """\
@@ -279,11 +174,6 @@ def plant(to: str, rig: Rig | str | None = None, *, real: str = "double", sines:
     )
     code = f"#include <math.h>\n\n{structures}\n{functions}{numbers}"
     return f"{_ABOUT}#ifndef DPEND_PLANT_H\n#define DPEND_PLANT_H\n\n{translated(code, to, real)}\n#endif\n"
-
-
-def number(value: float) -> str:
-    """Return a number as both languages write it, to the last bit of a double."""
-    return repr(float(value)).replace("inf", "INFINITY")
 
 
 def _numbers(rig: Rig, to: str) -> str:

@@ -19,11 +19,12 @@ import dpend
 from dpend import Balance, SwingUp
 from dpend.arguments import checked_name
 from dpend.controller import Controller, Law, as_controller, name_of
-from dpend.emit import LANGUAGES, REALS, RINT, number, plant, translated
+from dpend.emit import LANGUAGES, REALS, RINT, plant, translated
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
 from dpend.state import NAMES, UNITS
 from dpend.suggest import suggestion
+from dpend.tape import number
 from rl import load_policy
 
 from .._field import CONTENDERS

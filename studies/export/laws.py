@@ -17,9 +17,9 @@ import numpy.typing as npt
 from controllers import TVLQR, BangBang, Constant, LinearLaw, TunedLaw
 from controllers.tvlqr import _REACH
 from dpend.controller import FunctionController, name_of
-from dpend.emit import Tape
 from dpend.rig import Rig
 from dpend.state import EQUILIBRIA, wrap_angle
+from dpend.tape import Tape
 from rl.features import make_value_features, slope_features
 from rl.policies import INDICATORS, GainPolicy, LinearQPolicy, MLPPolicy, TableOneMean
 
