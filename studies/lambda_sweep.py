@@ -300,7 +300,11 @@ def report(table: Table) -> Report:
     note = "† as shipped, one training" if any("†" in name for name in named) else ""
     beyond = f"Saved beyond the {BASELINE} law, points, on the starts that both had"
     tables = (
-        _by_lam("Starts saved, %", named | {"the report's Table 2": _table2(table)}, note=note),
+        _by_lam(
+            "Starts saved, %",
+            named | ({"the report's Table 2": reported} if (reported := _table2(table)) else {}),
+            note=note,
+        ),
         _by_lam("Of the starts that can be saved: saved, %", _of_savable(table)),
         _by_lam(beyond, gains, "+.1%"),
         _falls_table(table, ({BEST_KNOWN: known} if known else {}) | success, {BEST_KNOWN: known_falls} | falls),
@@ -315,8 +319,9 @@ def _by_lam(title: str, of: Mapping[str, Mapping[float, Value]], form: str = ".1
 
 
 def _table2(table: Table) -> dict[float, float]:
-    """Return the report's shares at the table's own λ, where it is of the same rig."""
-    return {lam: TABLE2[lam] for lam in TABLE2 if _default(table) and lam in set(table.rows["lam"])}
+    """Return the report's shares at the table's own λ, where it is of the plant that the report's program has."""
+    coded = set(table.rows["plant"]) == {"gustafsson2016_as_coded"}
+    return {lam: TABLE2[lam] for lam in TABLE2 if coded and lam in set(table.rows["lam"])}
 
 
 def _overview(
@@ -335,8 +340,7 @@ def _overview(
         [[[list(kinds)]], [[["falls", [[title] for title in traces] or "falls"]]]],
         height=8.6, height_ratios=[1.0, 1.1],
     )  # fmt: skip
-    reported = TABLE2 if _default(table) else {}
-    stars = {lam: Estimate(value) for lam, value in reported.items() if lams[0] <= lam <= lams[-1]}
+    stars = {lam: Estimate(value) for lam, value in _table2(table).items()}
     for kind, own in zip(kinds, of_kind, strict=True):
         axis, first = axes[kind], kind == kinds[0]
         best_known(axis, known, BEST_KNOWN)

@@ -210,12 +210,15 @@ def test_the_tables_count_the_converged_and_mark_what_is_shipped():
         arrays={2: {"saved": np.ones((100, 1), bool)}},
     )  # fmt: skip
     found = cells(lambda_sweep.report(made))
-    assert list(found["Starts saved, %"]) == [
-        "best known", "Q tuned (1 of 2 converged)", "PPO balance †", "the report's Table 2",
-    ]  # fmt: skip
+    assert list(found["Starts saved, %"]) == ["best known", "Q tuned (1 of 2 converged)", "PPO balance †"]
     assert found["Of the starts that can be saved: saved, %"] == {"PPO balance": ["100.0"]}
     assert found["What learning cost, medians over trainings"] == {"Q tuned": ["1 of 2", "1", "2", "3"]}
     assert found["Starts saved by the trainings that converged, %"] == {"Q tuned": ["90.0"]}
+
+
+def test_the_reports_table_is_shown_on_the_plant_of_its_program_alone():
+    made = table(row(plant="gustafsson2016_as_coded"), arrays={0: {"saved": np.ones((100, 1), bool)}})
+    assert "the report's Table 2" in cells(lambda_sweep.report(made))["Starts saved, %"]
 
 
 def test_the_reports_table_is_what_the_report_says():
