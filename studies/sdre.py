@@ -3,9 +3,9 @@
 Method: SDRE and LQR with the same weights, Q = I, R = 1 and stiffer ones, on gustafsson2016 (40 N, 2.4 m) and on
 bogdanov2004 (no limits), from the same starts, both angles within λ, 300 samples; neither link may fall.
 
-Finding: on bogdanov2004, which has no limits, yes: with Q = I at λ = 0.6 SDRE saves 187 of 200, LQR 98.  On
-gustafsson2016 it depends on the weights: at λ = 0.4 SDRE saves 104 and LQR 146 of 200 with Q = I, 157 and 142 with the
-stiffer ones.  From `--episodes 200`, kept in docs/results/sdre.
+Finding: on bogdanov2004, which has no limits, yes: with Q = I at λ = 0.6 SDRE saves 462 of 500, LQR 243.  On
+gustafsson2016 it depends on the weights: at λ = 0.4 SDRE saves 267 and LQR 354 of 500 with Q = I, 380 and 348 with the
+stiffer ones.  From the default options, kept in docs/results/sdre.
 """
 
 from __future__ import annotations
