@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 import dpend
-from studies import _runner
+from studies import _board, _runner, lambda_sweep, leaderboard, recoverable, swing_up
+from studies._boundary import kept_boundary
+from studies._estimates import Estimate, number
 from studies._field import RIG, own
+from studies._step_times import StepTimes
+from studies._table import Table, load
 
-README = (Path(__file__).parent.parent / "README.md").read_text()
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
 EXAMPLES = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
 
 
@@ -21,8 +26,7 @@ def test_every_example_runs(example, tmp_path, monkeypatch):
 
 
 def test_every_local_link_and_picture_is_in_the_repository():
-    root = Path(__file__).parent.parent
-    for page in [root / "README.md", root / "CONTRIBUTING.md", *root.glob("docs/*.md"), root / "benchmarks/README.md"]:
+    for page in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md"), ROOT / "benchmarks/README.md"]:
         for target in re.findall(r"\]\(([^)#]+)\)", page.read_text()):
             if "://" not in target:
                 assert (page.parent / target).exists(), f"{page.name} points to {target}"
@@ -70,3 +74,109 @@ def test_there_are_two_commands_that_set_up_and_run():
         ".venv/bin/python -m pytest",
     ]
     assert all("pip install" in command for command in commands)
+
+
+BALANCING = {
+    "[linear law tuned for success](docs/tuned-linear.md)": "tuned linear",
+    "sign of a tuned linear law, ±40 N": "sign of tuned linear",
+    "LQR, Q = I, R = 1": "LQR",
+    "LQR, best of 729 weights": "LQR, best weights",
+    "iLQR MPC": "iLQR MPC",
+    "LSPI, quadratic features": "LSPI",
+    "Gaussian QAC tuned": "QAC tuned",
+    "Q-learning tuned": "Q tuned",
+    "Q-learning tuned, plain rule": lambda_sweep.PLAIN,
+    "Q-learning as published": "Q published",
+    "PPO balance, one training": "PPO balance",
+    "DDPG balance, one training": "DDPG balance",
+}
+SWINGING_UP = {
+    "iLQR MPC": "iLQR MPC",
+    "NMPC, hard limits": "NMPC",
+    "TVLQR on a stored trajectory": "TVLQR",
+    "pumping energy, planning the last swing, LQR": "pumping, iLQR, LQR",
+    "pumping energy, LQR": "pumping, LQR",
+    "DDPG, one training of 230 000 steps": "DDPG swing-up",
+    "PPO, one training of 7 100 000 steps": "PPO swing-up",
+}
+"""The lines of the README's tables and their contenders."""
+
+LAMS = 0.1, 0.2, 0.3, 0.4
+
+
+def kept(name: str) -> Table:
+    return load(ROOT / "docs/results" / name)
+
+
+def line(*cells: str) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def cell(estimate: Estimate) -> str:
+    """Write a share in %; an interval no wider than half a point is left out."""
+    value, interval = estimate.written(".1%")
+    return f"{value} {interval}".strip() if estimate.high - estimate.low > 0.005 else value
+
+
+def finding(study: object) -> str:
+    return " ".join((study.__doc__ or "").partition("Finding:")[2].split())
+
+
+def percent(values: list[float]) -> str:
+    return "/".join(f"{100 * value:.1f}".removesuffix(".0") for value in values)
+
+
+def balancing(table: Table) -> list[str]:
+    """Return the lines of the README's table of balancing."""
+    lines, whole = [], int(np.max(table.rows["first"] + table.rows["episodes"]))
+    for label, name in BALANCING.items():
+        rows = table.where(contender=name, lam=0.1)
+        outcomes, starts = list(rows["outcome"]), int(rows["episodes"].sum())
+        if "converged" in outcomes or len(outcomes) > 1:
+            label += f", {outcomes.count('converged')} of {len(outcomes)} converged"
+        if starts < whole:
+            label += f" ({starts:,} starts)".replace(",", " ")
+        half, ninety = (" ".join(of.written(".3f", (0.05, 0.6))).strip() for of in lambda_sweep.falls_to(table, name))
+        lines.append(line(label, *(cell(lambda_sweep.saved(table, name, lam)) for lam in LAMS), ninety, half))
+    area = kept_boundary()
+    shares = (cell(area.share(lam)) for lam in LAMS)
+    return [*lines, line("can be saved at all (areas)", *shares, f"{area.lam(0.9):.3f}", f"{area.lam(0.5):.3f}")]
+
+
+def swinging_up(table: Table) -> list[str]:
+    """Return the lines of the README's table of swing-ups."""
+    lines = []
+    for label, name in SWINGING_UP.items():
+        nominal, wrong = (
+            [swing_up.runs_of(table, name, start=start, plant_error=error) for start in swing_up.STARTS]
+            for error in (0.0, 0.1)
+        )
+        shares, off = (
+            " / ".join(number(swing_up.up(runs, swing_up.HORIZON).value, ".1%").removesuffix(".0") for runs in each)
+            for each in (nominal, wrong)
+        )
+        times = " / ".join(f"{np.nanmedian(runs['time_up'][runs['success'] == 1]):.2f}" for runs in nominal)
+        if len(wrong[0]["success"]) < len(nominal[0]["success"]):
+            off += f" ({len(wrong[0]['success'])} starts each)"
+        step = 1e3 * StepTimes.joined(table, contender=name, timed=True).quantile(0.5)
+        lines.append(line(label, shares, times, off, number(step, ".2g")))
+    return lines
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("written", "study"), [(balancing, "lambda_sweep_100"), (swinging_up, "swing_up")])
+def test_the_tables_are_those_of_their_rows(written, study):
+    lacking = [each for each in written(kept(study)) if f"\n{each}\n" not in README]
+    assert not lacking, "The README lacks:\n" + "\n".join(lacking)
+
+
+def test_findings_are_what_their_tables_say():
+    area, sweep, swings, board = kept_boundary(), *(kept(n) for n in ("lambda_sweep_100", "swing_up", "leaderboard"))
+    assert percent([area.share(lam).value for lam in (0.3, 0.4, 0.5, 0.6)]) in finding(recoverable)
+    for name in ("LQR", "Q tuned"):
+        assert percent([lambda_sweep.saved(sweep, name, lam).value for lam in LAMS]) in finding(lambda_sweep)
+    wrong = [swing_up.runs_of(swings, "iLQR MPC", start=start, plant_error=0.1) for start in swing_up.STARTS]
+    assert percent([swing_up.up(runs, swing_up.HORIZON).value for runs in wrong]) in finding(swing_up)
+    for name in ("iLQR MPC", "PPO balance", "LQR", "LSPI", "Q tuned"):
+        scored = [of for lam, of in _board.outcomes_of(board, name, "balance").items() if lam not in _board.UNSCORED]
+        assert f"{100 * np.mean(np.stack(scored) > 0):.1f}" in finding(leaderboard), name
