@@ -177,6 +177,6 @@ def test_findings_are_what_their_tables_say():
         assert percent([lambda_sweep.saved(sweep, name, lam).value for lam in LAMS]) in finding(lambda_sweep)
     wrong = [swing_up.runs_of(swings, "iLQR MPC", start=start, plant_error=0.1) for start in swing_up.STARTS]
     assert percent([swing_up.up(runs, swing_up.HORIZON).value for runs in wrong]) in finding(swing_up)
-    for name in ("iLQR MPC", "PPO balance", "LQR", "LSPI", "Q tuned"):
+    for name in ("iLQR MPC", "tuned linear", "PPO balance", "LQR", "LSPI", "Q tuned"):
         scored = [of for lam, of in _board.outcomes_of(board, name, "balance").items() if lam not in _board.UNSCORED]
         assert f"{100 * np.mean(np.stack(scored) > 0):.1f}" in finding(leaderboard), name
