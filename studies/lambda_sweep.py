@@ -7,9 +7,10 @@ starts only.  Intervals are 95 %: Wilson's, of learners Student's over trainings
 to a half and to nine tenths, best known are the starts that studies.recoverable or any contender saves; maps show from
 which angles at rest each saves it.
 
-Finding: LQR saves 100/99.9/87.3/67.3 % at λ = .1/.2/.3/.4, Q-learning tuned 100/98.4/82.2/61.3 % (100 of 100 trainings
-converge, by search and select), the report 94/92/78/49 %; as published no training converges (0 of 100).  From
-``--trainings 100 --episodes 1000 --part-of 1000 --plain --seed 2``, kept in docs/results/lambda_sweep_100.
+Finding: of 100 000 starts LQR saves 100/99.9/87.3/67.3 % at λ = .1/.2/.3/.4, Q-learning tuned 100/98.4/82.2/61.3 % (100
+of 100 trainings converge, by search and select); as published 0 of 100 converge.  The report's 94/92/78/49 % are of
+another plant.  From ``--trainings 100 --episodes 1000 --part-of 1000 --plain --seed 2``, kept in
+docs/results/lambda_sweep_100.
 """
 
 from __future__ import annotations
