@@ -153,11 +153,10 @@ def swinging_up(table: Table) -> list[str]:
         )
         shares, off = (
             " / ".join(number(swing_up.up(runs, swing_up.HORIZON).value, ".1%").removesuffix(".0") for runs in each)
+            + f" ({len(each[0]['success'])} starts each)" * (len(each[0]["success"]) < 200)
             for each in (nominal, wrong)
         )
         times = " / ".join(f"{np.nanmedian(runs['time_up'][runs['success'] == 1]):.2f}" for runs in nominal)
-        if len(wrong[0]["success"]) < len(nominal[0]["success"]):
-            off += f" ({len(wrong[0]['success'])} starts each)"
         step = 1e3 * StepTimes.joined(table, contender=name, timed=True).quantile(0.5)
         lines.append(line(label, shares, times, off, number(step, ".2g")))
     return lines
