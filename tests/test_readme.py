@@ -138,7 +138,7 @@ def percent(values: list[float]) -> str:
 def balancing() -> list[str]:
     """Return lines of the README's table of balancing, as far as the kept rows go: without λ50 and λ90."""
     lines, rows = [], sweep()
-    whole = rows.groupby(["controller", "lam"])["episodes"].sum().max()
+    whole = np.max(rows.groupby(["controller", "lam"])["episodes"].agg("sum"))
     for label, name in BALANCING.items():
         own = rows.loc[[(name, 0.1)]]
         outcomes, starts = list(own["outcome"]), own["episodes"].sum()
