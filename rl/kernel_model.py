@@ -6,7 +6,7 @@ Each change is :math:`\sum_i \alpha_i k(z, z_i)` with a squared-exponential kern
 
 and :math:`z` the state and the force: angles as they are or by sine and cosine, with or without the cart's position.
 Either all six states change by processes of their own, or the three rates do and positions follow by the trapezoidal
-rule.  Told of the mirror, each process is odd: its kernel is :math:`(k(z, z') - k(z, -z'))/2`, cosines keeping their
+rule.  With the mirror known, each process is odd: its kernel is :math:`(k(z, z') - k(z, -z'))/2`, cosines keeping their
 sign.
 """
 
@@ -32,7 +32,7 @@ _POINTS, _MOST = 300, 1200  # transitions for the marginal likelihood, and for t
 _JITTER = 1e-3  # least noise, as a share of the changes
 
 
-class Told(NamedTuple):
+class Priors(NamedTuple):
     """What is known of the plant before it moves."""
 
     angles: bool
@@ -55,17 +55,17 @@ class Centers(NamedTuple):
     h: float
 
 
-def _inputs(x: Array, u: Array, told: Told) -> Array:
+def _inputs(x: Array, u: Array, priors: Priors) -> Array:
     """Return z (N, D) for states (N, 6) and forces (N,)."""
     th = x[:, 1:3]
-    shown = [np.sin(th), np.cos(th)] if told.angles else [th]
-    return np.column_stack([x[:, :0] if told.cart_invariance else x[:, :1], *shown, x[:, 3:], u])
+    shown = [np.sin(th), np.cos(th)] if priors.angles else [th]
+    return np.column_stack([x[:, :0] if priors.cart_invariance else x[:, :1], *shown, x[:, 3:], u])
 
 
-def _signs(told: Told) -> Array:
+def _signs(priors: Priors) -> Array:
     """Return the sign that each input has in the mirror."""
-    shown = [-1, -1, 1, 1] if told.angles else [-1, -1]
-    return np.array([*([] if told.cart_invariance else [-1]), *shown, -1, -1, -1, -1], dtype=np.float64)
+    shown = [-1, -1, 1, 1] if priors.angles else [-1, -1]
+    return np.array([*([] if priors.cart_invariance else [-1]), *shown, -1, -1, -1, -1], dtype=np.float64)
 
 
 @inline
@@ -154,7 +154,7 @@ class KernelModel:
         Logarithms of the length scales, the amplitude and the noise.
     sample_time : float
         s.
-    told : Told
+    priors : Priors
         What is built in.
     """
 
@@ -162,7 +162,7 @@ class KernelModel:
     alpha: Array
     hyper: Array
     sample_time: float
-    told: Told
+    priors: Priors
 
     kind = "kernel"
 
@@ -170,9 +170,9 @@ class KernelModel:
     def model(self) -> Model:
         """What a planner takes."""
         z, alpha = self.z, self.alpha * np.exp(2 * self.hyper[:, -2])
-        if self.told.mirror:
-            z, alpha = np.vstack([z, z * _signs(self.told)]), np.vstack([alpha, -alpha]) / 2
-        parameters = Centers(z, alpha, np.exp(-2 * self.hyper[:, :-2]), self.told.angles, self.told.cart_invariance,
+        if self.priors.mirror:
+            z, alpha = np.vstack([z, z * _signs(self.priors)]), np.vstack([alpha, -alpha]) / 2
+        parameters = Centers(z, alpha, np.exp(-2 * self.hyper[:, :-2]), self.priors.angles, self.priors.cart_invariance,
                              self.sample_time)  # fmt: skip
         return Model(step=_step, linearize=_linearize, parameters=parameters, sources=(Path(__file__),))
 
@@ -183,15 +183,15 @@ class KernelModel:
 
     def uncertainty(self, x: Array, u: Array) -> Array:
         """Return the standard deviations (N, 3) of the mean accelerations in states (N, 6) under forces (N,)."""
-        new, signs = _inputs(x, u, self.told), _signs(self.told)
+        new, signs = _inputs(x, u, self.priors), _signs(self.priors)
         std = np.empty((len(x), 3))
         for d, hyper in enumerate(self.hyper[-3:]):
-            across, _ = _kernel(new, self.z, hyper, self.told, signs)
+            across, _ = _kernel(new, self.z, hyper, self.priors, signs)
             own = np.exp(2 * hyper[-2]) * np.ones(len(x))
-            if self.told.mirror:
+            if self.priors.mirror:
                 twice = np.exp(-0.5 * (((new - new * signs) / np.exp(hyper[:-2])) ** 2).sum(axis=1))
                 own = own * (1 - twice) / 2
-            known = solve_triangular(_factor(self.z, hyper, self.told)[0], across.T, lower=True)
+            known = solve_triangular(_factor(self.z, hyper, self.priors)[0], across.T, lower=True)
             std[:, d] = np.sqrt(np.maximum(own - (known**2).sum(axis=0), 0)) / self.sample_time
         return std
 
@@ -200,53 +200,53 @@ class KernelModel:
         return {name: np.asarray(value) for name, value in vars(self).items()}
 
     @classmethod
-    def from_arrays(cls, sample_time: Any, told: Any, **arrays: Any) -> KernelModel:
+    def from_arrays(cls, sample_time: Any, priors: Any, **arrays: Any) -> KernelModel:
         """Build it from what :meth:`arrays` returned."""
-        return cls(sample_time=float(sample_time), told=Told(*map(bool, told)), **arrays)
+        return cls(sample_time=float(sample_time), priors=Priors(*map(bool, priors)), **arrays)
 
     @classmethod
     def fit(
-        cls, data: Transitions, h: float, told: Told, rng: np.random.Generator, before: KernelModel | None
+        cls, data: Transitions, h: float, priors: Priors, rng: np.random.Generator, before: KernelModel | None
     ) -> KernelModel:
         """Return the posterior after transitions; hyperparameters are sought from those of the model before."""
-        z, y = _inputs(data.x, data.u, told), (data.after - data.x)[:, 3 if told.second_order else 0 :]
+        z, y = _inputs(data.x, data.u, priors), (data.after - data.x)[:, 3 if priors.second_order else 0 :]
         size = np.sqrt(np.mean(y**2, axis=0)) + 1e-9
         center = np.array([[*np.log(2 * z.std(axis=0) + 1e-3), math.log(2 * s), math.log(0.1 * s)] for s in size])
         hyper = center if before is None else before.hyper
         rows = np.sort(rng.permutation(len(z))[:_POINTS])
-        hyper = np.stack([_most_likely(z[rows], y[rows, e], told, hyper[e], center[e]) for e in range(len(size))])
+        hyper = np.stack([_most_likely(z[rows], y[rows, e], priors, hyper[e], center[e]) for e in range(len(size))])
         kept = np.sort(rng.permutation(len(z))[:_MOST])
         z, y = z[kept], y[kept]
-        alpha = np.stack([cho_solve(_factor(z, hyper[e], told), y[:, e]) for e in range(len(size))], axis=1)
-        return cls(z=z, alpha=alpha, hyper=hyper, sample_time=h, told=told)
+        alpha = np.stack([cho_solve(_factor(z, hyper[e], priors), y[:, e]) for e in range(len(size))], axis=1)
+        return cls(z=z, alpha=alpha, hyper=hyper, sample_time=h, priors=priors)
 
 
-def _kernel(a: Array, b: Array, hyper: Array, told: Told, signs: Array) -> tuple[Array, list[Array]]:
+def _kernel(a: Array, b: Array, hyper: Array, priors: Priors, signs: Array) -> tuple[Array, list[Array]]:
     """Return the kernel of inputs and its parts: the plain kernel, and the mirrored one if there is one."""
-    scaled, others = a / np.exp(hyper[:-2]), [b] + ([b * signs] if told.mirror else [])
+    scaled, others = a / np.exp(hyper[:-2]), [b] + ([b * signs] if priors.mirror else [])
     parts = []
     for other in (each / np.exp(hyper[:-2]) for each in others):
         far = (scaled**2).sum(axis=1)[:, None] + (other**2).sum(axis=1) - 2 * scaled @ other.T
         parts.append(np.exp(2 * hyper[-2] - 0.5 * np.maximum(far, 0)))
-    return ((parts[0] - parts[1]) / 2 if told.mirror else parts[0]), parts
+    return ((parts[0] - parts[1]) / 2 if priors.mirror else parts[0]), parts
 
 
-def _factor(z: Array, hyper: Array, told: Told) -> tuple[Array, bool]:
-    K, _ = _kernel(z, z, hyper, told, _signs(told))
+def _factor(z: Array, hyper: Array, priors: Priors) -> tuple[Array, bool]:
+    K, _ = _kernel(z, z, hyper, priors, _signs(priors))
     K[np.diag_indices_from(K)] += np.exp(2 * hyper[-1]) + 1e-9 * np.exp(2 * hyper[-2])
     return cho_factor(K, lower=True, overwrite_a=True, check_finite=False)
 
 
-def _most_likely(z: Array, y: Array, told: Told, start: Array, center: Array) -> Array:
+def _most_likely(z: Array, y: Array, priors: Priors, start: Array, center: Array) -> Array:
     """Return the hyperparameters of greatest posterior density."""
-    signs, n = _signs(told), len(z)
+    signs, n = _signs(priors), len(z)
     spread = np.array([1.0] * z.shape[1] + [1.0, 2.0])
     gaps = [[(a[:, None] - a) ** 2, (a[:, None] - s * a) ** 2] for a, s in zip(z.T, signs, strict=True)]
 
     def loss(h: Array) -> tuple[float, Array]:
-        K, parts = _kernel(z, z, h, told, signs)
+        K, parts = _kernel(z, z, h, priors, signs)
         noise = np.exp(2 * h[-1])
-        weights = (parts[0] / 2, -parts[1] / 2) if told.mirror else (parts[0],)
+        weights = (parts[0] / 2, -parts[1] / 2) if priors.mirror else (parts[0],)
         noisy = K.copy()
         noisy[np.diag_indices(n)] += noise + 1e-9 * np.exp(2 * h[-2])
         factor = cho_factor(noisy, lower=True, overwrite_a=True, check_finite=False)

@@ -1,7 +1,7 @@
 r"""The swing-up from seconds of experience: a model of the plant is learned, and planned on.
 
 The first episode is of random forces.  After each, the model is fitted to all transitions so far, and the next episode
-is driven by iLQR on it, in a receding horizon.  What the model is told beforehand are switches of
+is driven by iLQR on it, in a receding horizon.  What is known beforehand are switches of
 :class:`ModelBased`, each a line in ``docs/model-based.md``.
 
 Source: M. Deisenroth and C. Rasmussen, *PILCO: a model-based and data-efficient approach to policy search*, ICML 2011,
@@ -30,7 +30,7 @@ from dpend.suggest import suggests
 from dpend.tasks import SwingUp
 
 from .harmonic import HarmonicModel, Tracker, Transitions
-from .kernel_model import KernelModel, Told
+from .kernel_model import KernelModel, Priors
 from .policies import Saved
 from .settings import Nonnegative, Positive, Whole, check_settings
 from .training import Outcome, Progress, Seed, Session, Training
@@ -274,7 +274,7 @@ class ModelBased:
         The plant, or the name of a preset; it may have noise, but neither lag nor delay nor rounding.  Beside its runs
         the learner sees its clock and its limits.
     angles : bool
-        Whether it is told that angles recur: sines and cosines take their place.
+        Whether it is known that angles recur: sines and cosines take their place.
     second_order : bool
         That velocities are the rates of positions.
     cart_invariance : bool
@@ -331,7 +331,7 @@ class ModelBased:
         """
         session, h = Session(self, seed, seconds, progress, _STREAM), float(self.rig.sample_time)
         rng = session.rng
-        told = Told(self.angles, self.second_order, self.cart_invariance, self.mirror)
+        priors = Priors(self.angles, self.second_order, self.cart_invariance, self.mirror)
         settings = {"sample_time": h, "force_limit": self.rig.force_limit, "track_limit": self.rig.track_limit}
 
         def fit(runs: list[Run], policy: ModelPolicy | None) -> ModelPolicy:
@@ -339,7 +339,7 @@ class ModelBased:
             model: Any = (
                 HarmonicModel.fit(data, h, self.mirror, rng, before)
                 if self.structure
-                else KernelModel.fit(data, h, told, rng, before)
+                else KernelModel.fit(data, h, priors, rng, before)
             )
             return ModelPolicy(model, **settings)
 

@@ -1,6 +1,6 @@
 """What is knowledge of the plant worth, in seconds of experience until the swing-up is learned?
 
-Method: learners that are told more or less of the plant, on pilco2011 (20 N, held for .05 s, noise of .01 on all
+Method: learners that know more or less of the plant beforehand, on pilco2011 (20 N, held for .05 s, noise of .01 on all
 measurements) and on gustafsson2016 held for .05 s, exact; ten seeds, episodes of five seconds from hanging, ±0.1 rad,
 the first of random forces.  A swing-up succeeds if over its last second cart and tip are within .5 m and .1 m of
 their places upright.  Recorded are the experience and processor time until the first episode that succeeds, and until
@@ -38,7 +38,7 @@ RIGS: Mapping[str, dpend.Rig] = {
     "gustafsson2016, 0.05 s": dpend.rig("gustafsson2016").replace(sample_time=0.05, substeps=5),
 }
 _PLAIN: Callable[..., ModelBased] = partial(ModelBased, structure=False)
-TOLD: Mapping[str, tuple[Callable[..., Learner], float]] = {
+PRIORS: Mapping[str, tuple[Callable[..., Learner], float]] = {
     "the equations": (IdentifyAndPlan, 32.0),
     "structure, mirror": (ModelBased, 60.0),
     "structure": (partial(ModelBased, mirror=False), 70.0),
@@ -46,7 +46,7 @@ TOLD: Mapping[str, tuple[Callable[..., Learner], float]] = {
     "second order": (partial(_PLAIN, mirror=False), 150.0),
     "nothing": (partial(_PLAIN, angles=False, second_order=False, cart_invariance=False, mirror=False), 150.0),
 }
-"""What builds each learner, by what it is told of the plant, and the greatest experience, s."""
+"""What builds each learner, by its prior knowledge of the plant, and the greatest experience, s."""
 _PILCO = (100.0, 150.0)  # s: 20 to 30 trials of 5 s
 _ENOUGH = 0.9
 _WHITE = {"facecolor": "w", "edgecolor": "none", "pad": 1.0}
@@ -59,20 +59,24 @@ class Options(_runner.Options):
 
     trainings: Positive = 10  # Seeds of each learner.
     starts: Positive = 50  # Fresh starts on which a policy is evaluated.
-    only: tuple[str, ...] = ()  # What the learners that take part are told, such as "structure, mirror"; left out, all.
+    only: tuple[
+        str, ...
+    ] = ()  # Prior knowledge of the learners that take part, such as "structure, mirror"; left out, all.
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in self.only:
-            if name not in TOLD:
-                raise ValueError(f"--only: no learner is told {name!r}; known: {'; '.join(TOLD)}.")
+            if name not in PRIORS:
+                raise ValueError(
+                    f"--only: no learner has the prior knowledge {name!r}; there are: {'; '.join(PRIORS)}."
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
     """One training, and the evaluation of its policies."""
 
-    told: str
+    prior: str
     plant: Plant
     training: int
     seconds: float
@@ -97,18 +101,18 @@ class Row:
 
 def jobs(options: Options) -> list[Job]:
     """List the work: each learner on each rig."""
-    chosen = options.only or (("the equations",) if options.quick else tuple(TOLD))
+    chosen = options.only or (("the equations",) if options.quick else tuple(PRIORS))
     trainings, starts = (1, 2) if options.quick else (options.trainings, options.starts)
     return [
-        Job(told=told, plant=Plant(name, json.dumps(rig.to_dict())), training=k, starts=starts, seed=options.seed,
-            seconds=TOLD[told][1])
-        for told in chosen for name, rig in RIGS.items() for k in range(trainings)
+        Job(prior=prior, plant=Plant(name, json.dumps(rig.to_dict())), training=k, starts=starts, seed=options.seed,
+            seconds=PRIORS[prior][1])
+        for prior in chosen for name, rig in RIGS.items() for k in range(trainings)
     ]  # fmt: skip
 
 
 def run(job: Job) -> Result:
     """Train, and evaluate the policies from that of the first success on until two in a row are good."""
-    build, _ = TOLD[job.told]
+    build, _ = PRIORS[job.prior]
     rig = job.plant.rig
     learner = build(rig, episodes=round(job.seconds / 5.0) + 1, streak=1000)  # no streak ends it
     training = learner.train([job.seed, job.training], seconds=job.seconds)
@@ -160,15 +164,15 @@ _MILESTONES = {
 
 
 def report(table: Table) -> Report:
-    """Draw experience to success against what was told, and tabulate it with processor time."""
+    """Draw experience to success against prior knowledge, and tabulate it with processor time."""
     names = [name for name in RIGS if len(where(table.rows, plant=name))]
-    there = [told for told in TOLD if len(where(table.rows, told=told))]
+    there = [prior for prior in PRIORS if len(where(table.rows, prior=prior))]
     figure, axes = facets(len(names), height=0.9 + 0.38 * (len(there) + 1) * len(names), sharex=True)
     lines: list[dict[str, Value]] = []
     for axis, name in zip(axes[:, 0], names, strict=True):
-        for k, told in enumerate(there):
-            own = where(table.rows, plant=name, told=told)
-            line: dict[str, Value] = {"plant": name, "told": told, "trainings": len(own)}
+        for k, prior in enumerate(there):
+            own = where(table.rows, plant=name, prior=prior)
+            line: dict[str, Value] = {"plant": name, "prior": prior, "trainings": len(own)}
             for kind, (colour, mark, lift, label) in _MILESTONES.items():
                 each, height = own[kind], np.full(len(own), k + lift)
                 axis.plot(each, height, mark, color=colour, ms=4, alpha=0.5, mew=0, label=label)
@@ -191,7 +195,7 @@ def report(table: Table) -> Report:
         axis.set(ylim=(len(there) - 0.3, -0.6), yticks=range(len(there)), yticklabels=there, title=name)
     log_axis(axes[-1, 0], ticks=(2, 5, 10, 20, 50, 100, 200, 1000, 10000, 100000))
     axes[-1, 0].set_xlabel("experience (s)")
-    legend_above(figure, 3, "What is told of the plant, and what it saves")
+    legend_above(figure, 3, "Prior knowledge of the plant, and what it saves")
     return Report(figures=figure, tables=[sheet("Experience and processor time to success", lines)])
 
 

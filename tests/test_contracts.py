@@ -48,7 +48,7 @@ from dpend.check import (
 from dpend.controller import is_batched
 from dpend.rig import ideal_rig
 from rl import GainPolicy, LinearQPolicy, MLPPolicy, ModelPolicy, Network, PlannedPolicy, TableOneMean
-from rl.kernel_model import KernelModel, Told, Transitions
+from rl.kernel_model import KernelModel, Priors, Transitions
 
 
 def random_network() -> Network:
@@ -65,7 +65,7 @@ def small_model(rig: Rig) -> KernelModel:
     plant.reset(x)
     plant.step(u)
     data = Transitions(x, u, plant.x)
-    return KernelModel.fit(data, rig.sample_time, Told(True, True, True, True), rng, None)
+    return KernelModel.fit(data, rig.sample_time, Priors(True, True, True, True), rng, None)
 
 
 # What cannot be built from a rig alone; every other class with a method `start` must be.

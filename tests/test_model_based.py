@@ -17,12 +17,12 @@ import dpend
 from dpend.params import Array
 from rl import IdentifyAndPlan, ModelBased, ModelPolicy, Outcome, harmonic, kernel_model, load_policy
 from rl.harmonic import HarmonicModel, Tracker, Transitions
-from rl.kernel_model import KernelModel, Told
+from rl.kernel_model import KernelModel, Priors
 from rl.model_based import RandomForces, settled, transitions
 
 RIG = dpend.rig("pilco2011")
 H = RIG.sample_time
-ALL = Told(True, True, True, True)
+ALL = Priors(True, True, True, True)
 
 
 def moved(episodes: int, seed: int, rig: dpend.Rig = RIG) -> Transitions:
@@ -43,20 +43,20 @@ def random_harmonic(mirror: bool, rng: np.random.Generator) -> HarmonicModel:
     return HarmonicModel(weights=weights, hyper=hyper, inputs=inputs, excess=excess, sample_time=H, mirror=mirror)
 
 
-def random_kernels(told: Told, rng: np.random.Generator) -> KernelModel:
-    z = kernel_model._inputs(random_states(rng, 15), rng.uniform(-5, 5, 15), told)
-    outputs = 3 if told.second_order else 6
+def random_kernels(priors: Priors, rng: np.random.Generator) -> KernelModel:
+    z = kernel_model._inputs(random_states(rng, 15), rng.uniform(-5, 5, 15), priors)
+    outputs = 3 if priors.second_order else 6
     hyper = np.tile([*np.full(z.shape[1], 1.0), -1.0, -4.0], (outputs, 1))
     alpha = rng.standard_normal((15, outputs))
-    return KernelModel(z=z, alpha=alpha, hyper=hyper, sample_time=H, told=told)
+    return KernelModel(z=z, alpha=alpha, hyper=hyper, sample_time=H, priors=priors)
 
 
 MODELS = {
     "harmonic, mirror": lambda rng: random_harmonic(True, rng),
     "harmonic": lambda rng: random_harmonic(False, rng),
-    "kernel, all told": lambda rng: random_kernels(ALL, rng),
-    "kernel, nothing told": lambda rng: random_kernels(Told(False, False, False, False), rng),
-    "kernel, angles": lambda rng: random_kernels(Told(True, True, False, False), rng),
+    "kernel, all known": lambda rng: random_kernels(ALL, rng),
+    "kernel, nothing known": lambda rng: random_kernels(Priors(False, False, False, False), rng),
+    "kernel, angles": lambda rng: random_kernels(Priors(True, True, False, False), rng),
 }
 every_model = pytest.mark.parametrize("build", MODELS.values(), ids=list(MODELS))
 
@@ -81,13 +81,13 @@ def test_a_models_slopes_are_those_of_finite_differences(build: Any) -> None:
 
 
 @every_model
-def test_told_of_the_mirror_a_model_is_odd_and_otherwise_not(build: Any) -> None:
+def test_a_model_that_knows_the_mirror_is_odd_and_otherwise_not(build: Any) -> None:
     rng = np.random.default_rng(1)
     belief = build(rng)
     model, x = belief.model, tuple(random_states(rng, 1)[0].tolist())
     there, mirrored = (np.array(model.step(tuple(s * v for v in x), 2.0 * s, model.parameters)) for s in (1.0, -1.0))
-    told = belief.mirror if isinstance(belief, HarmonicModel) else belief.told.mirror
-    assert np.allclose(there, -mirrored, rtol=0, atol=1e-9) == told
+    mirrored_too = belief.mirror if isinstance(belief, HarmonicModel) else belief.priors.mirror
+    assert np.allclose(there, -mirrored, rtol=0, atol=1e-9) == mirrored_too
 
 
 @every_model
@@ -141,9 +141,9 @@ def test_the_slopes_of_the_marginal_likelihood_are_those_of_finite_differences(
         q, excess = harmonic.products(x[:, 3:], u), rng.uniform(1, 3, 25)
         arguments: Any = (harmonic.three_angles(x), q, y, excess, mirror, center, center + 0.3)
     else:
-        z = kernel_model._inputs(x, u, told := Told(True, True, False, mirror))
+        z = kernel_model._inputs(x, u, priors := Priors(True, True, False, mirror))
         center = np.append(np.full(z.shape[1], 0.7), [0.3, -1.0])
-        arguments = (z, y, told, center, center + 0.3)
+        arguments = (z, y, priors, center, center + 0.3)
     with pytest.raises(StopIteration):
         module._most_likely(*arguments)
     ((loss, start),) = seen
