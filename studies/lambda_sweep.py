@@ -272,7 +272,8 @@ def _outcomes(table: Table, contender: str) -> list[str]:
     return list(table.where(contender=contender).drop_duplicates("training")["outcome"])
 
 
-def _converged(table: Table, contender: str) -> str:
+def converged(table: Table, contender: str) -> str:
+    """Return how many trainings of a contender converged, such as "77 of 100"."""
     outcomes = _outcomes(table, contender)
     return f"{outcomes.count('converged')} of {len(outcomes)}"
 
@@ -282,7 +283,7 @@ def _label(table: Table, contender: str) -> str:
     outcomes = set(_outcomes(table, contender))
     if outcomes == {SHIPPED}:
         return f"{contender} †"
-    return contender + ("" if outcomes <= {DESIGNED, "converged"} else f" ({_converged(table, contender)} converged)")
+    return contender + ("" if outcomes <= {DESIGNED, "converged"} else f" ({converged(table, contender)} converged)")
 
 
 def report(table: Table) -> Report:
@@ -420,19 +421,19 @@ def _falls_table(table: Table, success: Mapping[str, Curve], falls: Mapping[str,
 
 def _learning_tables(table: Table, success: Mapping[str, Curve]) -> tuple[Sheet, Sheet]:
     """Tabulate what learning cost, and what those trainings save that converged, where not all did."""
-    costs, converged = [], []
+    costs, saved_by = [], []
     headings = {"training_episodes": "episodes", "training_steps": "learning steps", "test_steps": "test steps"}
     for name in success:
         own = table.where(contender=name)
         if set(own["outcome"]) & {DESIGNED, SHIPPED}:
             continue
         medians = own.drop_duplicates("training")[list(headings)].median().rename(headings)
-        costs.append({"learner": name, "converged": _converged(table, name)} | medians.to_dict())
+        costs.append({"learner": name, "converged": converged(table, name)} | medians.to_dict())
         done = where(own, outcome="converged")
         if 0 < len(done) < len(own):
-            converged.append({"learner": name} | at({lam: _mean(where(done, lam=lam)) for lam in success[name]}))
+            saved_by.append({"learner": name} | at({lam: _mean(where(done, lam=lam)) for lam in success[name]}))
     cost = sheet("What learning cost, medians over trainings", costs, ",.0f")
-    return cost, sheet("Starts saved by the trainings that converged, %", converged, ".1%")
+    return cost, sheet("Starts saved by the trainings that converged, %", saved_by, ".1%")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,8 @@ from studies import _basins, _figures, lambda_sweep
 from studies._boundary import kept_boundary
 from studies._estimates import crossing, share
 from studies._field import RIG, find
-from studies._runner import Table, plain_fields, read_rows
+from studies._runner import Table, plain_fields
+from studies._table import load
 
 BY_HAND = """
 class ByHand:
@@ -226,14 +227,13 @@ def test_the_reports_table_is_what_the_report_says():
 
 
 def test_the_finding_is_what_the_kept_table_says():
-    kept = Path(__file__).parent.parent / "docs" / "results" / "lambda_sweep_100" / "rows.csv"
-    made = table(*read_rows(kept).rename(columns={"controller": "contender"}).to_dict("records"))
+    made = load(Path(__file__).parent.parent / "docs" / "results" / "lambda_sweep_100")
     finding = " ".join((lambda_sweep.__doc__ or "").partition("Finding: ")[2].split())
     for name, words in (("LQR", "LQR saves"), ("Q tuned", "Q-learning tuned")):
         shares = [f"{100 * lambda_sweep.saved(made, name, lam).value:.1f}" for lam in lambda_sweep.TABLE2]
         assert f"{words} {'/'.join(share.removesuffix('.0') for share in shares)} %" in finding
     for name in ("Q tuned", "Q published"):
-        assert lambda_sweep._converged(made, name) in finding
+        assert lambda_sweep.converged(made, name) in finding
 
 
 # --------------------------------------------------------------------------------------------------------------- basins

@@ -1,16 +1,16 @@
 """What the README shows, works."""
 
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 import dpend
 from studies import _board, _runner, lambda_sweep, leaderboard, recoverable, swing_up
 from studies._boundary import kept_boundary
-from studies._estimates import Estimate, mean_share, number
+from studies._estimates import Estimate, number
 from studies._field import RIG, own
 from studies._step_times import StepTimes
 from studies._table import Table, load
@@ -81,6 +81,9 @@ BALANCING = {
     "LQR, Q = I, R = 1": "LQR",
     "iLQR MPC": "iLQR MPC",
     "sign of a stiffer LQR, ±40 N": "sign of stiff LQR",
+    "LQR, best of 729 weights": "LQR, best weights",
+    "[linear law tuned for success](docs/tuned-linear.md)": "tuned linear",
+    "sign of a tuned linear law, ±40 N": "sign of tuned linear",
     "Q-learning tuned": "Q tuned",
     "Q-learning tuned, plain rule": lambda_sweep.PLAIN,
     "Q-learning as published": "Q published",
@@ -103,18 +106,16 @@ SWINGING_UP = {
 LAMS = 0.1, 0.2, 0.3, 0.4
 
 
+@cache
 def kept(name: str) -> Table:
     return load(ROOT / "docs/results" / name)
 
 
-def sweep() -> pd.DataFrame:
-    """Return the rows of 100 trainings, which were kept before tables had arrays."""
-    return pd.read_csv(ROOT / "docs/results/lambda_sweep_100/rows.csv").set_index(["controller", "lam"]).sort_index()
+SWEEP = "lambda_sweep_100"
 
 
-def saved(rows: pd.DataFrame, name: str) -> list[Estimate]:
-    own = [rows.loc[[(name, lam)]] for lam in LAMS]
-    return [mean_share(each["successes"] / each["episodes"], each["episodes"]) for each in own]
+def saved(name: str) -> list[Estimate]:
+    return [lambda_sweep.saved(kept(SWEEP), name, lam) for lam in LAMS]
 
 
 def line(*cells: str) -> str:
@@ -136,19 +137,22 @@ def percent(values: list[float]) -> str:
 
 
 def balancing() -> list[str]:
-    """Return lines of the README's table of balancing, as far as the kept rows go: without λ50 and λ90."""
-    lines, rows = [], sweep()
-    whole = np.max(rows.groupby(["controller", "lam"])["episodes"].agg("sum"))
+    """Return the lines of the README's table of balancing."""
+    lines, table = [], kept(SWEEP)
+    most = int(np.sum(table.where(contender="LQR", lam=0.1)["episodes"]))
     for label, name in BALANCING.items():
-        own = rows.loc[[(name, 0.1)]]
-        outcomes, starts = list(own["outcome"]), own["episodes"].sum()
-        if len(outcomes) > 1:
-            label += f", {outcomes.count('converged')} of {len(outcomes)} converged"
-        if starts < whole:
-            label += f" ({starts:,} starts)".replace("10,000", "10 000")
-        lines.append(line(label, *map(cell, saved(rows, name))))
+        own = table.where(contender=name, lam=0.1)
+        starts = int(np.sum(own["episodes"]))
+        if len(own) > 1:
+            label += f", {lambda_sweep.converged(table, name)} converged"
+        if starts < most:
+            label += f" ({starts:,} starts)".replace(",", " ")
+        tried = table.rows["lam"].min(), table.rows["lam"].max()
+        falls = [of.written(".3f", tried) for of in reversed(lambda_sweep.falls_to(table, name))]
+        lines.append(line(label, *map(cell, saved(name)), *(" ".join(each).strip() for each in falls)))
     area = kept_boundary()
-    return [*lines, line("can be saved at all (areas)", *(cell(area.share(lam)) for lam in LAMS))]
+    can = [cell(area.share(lam)) for lam in LAMS] + [f"{area.lam(part):.3f}" for part in (0.9, 0.5)]
+    return [*lines, line("can be saved at all (areas)", *can)]
 
 
 def swinging_up() -> list[str]:
@@ -179,10 +183,10 @@ def test_the_tables_are_those_of_their_rows(written):
 
 @pytest.mark.slow
 def test_findings_are_what_their_tables_say():
-    area, rows, swings, board = kept_boundary(), sweep(), kept("swing_up"), kept("leaderboard")
+    area, swings, board = kept_boundary(), kept("swing_up"), kept("leaderboard")
     assert percent([area.share(lam).value for lam in (0.3, 0.4, 0.5, 0.6)]) in finding(recoverable)
     for name in ("LQR", "Q tuned"):
-        assert percent([each.value for each in saved(rows, name)]) in finding(lambda_sweep)
+        assert percent([each.value for each in saved(name)]) in finding(lambda_sweep)
     wrong = [swing_up.runs_of(swings, "iLQR MPC", start=start, plant_error=0.1) for start in swing_up.STARTS]
     assert percent([swing_up.up(runs, swing_up.HORIZON).value for runs in wrong]) in finding(swing_up)
     for name in ("iLQR MPC", "tuned linear", "PPO balance", "LQR", "LSPI", "Q tuned"):
