@@ -54,18 +54,26 @@ class _EnergyLaw:
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs, which is memoryless but for its first sample."""
-        began = False
+        new = np.ones(n, dtype=np.bool_)
 
         def act(_: float, y: Array) -> Array:
-            nonlocal began
             u = self.force(y)
-            if not began:
-                began = True
+            if new.any():
                 hanging = energies(y, self.rig.params).total < -(1 - 1e-4) * self.energy
-                u = np.where(hanging, self.perturbation, u)
+                u = np.where(new & hanging, self.perturbation, u)
+                new[:] = False
             return u
 
-        return holding(n, act)
+        law = holding(n, act)
+
+        def among(t: float, y: Array, rows: npt.NDArray[np.bool_]) -> Array:
+            """Return the forces where this law is in charge; the other rows begin anew when they are next."""
+            u = law(t, y)
+            new[~rows] = True
+            return u
+
+        law.among = among  # type: ignore[attr-defined]
+        return law
 
 
 @renamed_arguments(kick="perturbation")

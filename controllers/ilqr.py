@@ -26,7 +26,7 @@ from copy import copy
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,16 +35,29 @@ from dpend.arguments import checked_array, checked_positive, checked_seed, check
 from dpend.controller import Act
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
+from dpend.rows import in_parts, row_generators
 from dpend.state import as_equilibrium, as_states, one_state
 
-from .ilqr_kernels import NO_GAPS, PLANT, Flow, Loops, Problem, make_loops, nearest_target
+from .ilqr_kernels import (
+    PLANT,
+    Flow,
+    Guess,
+    Loops,
+    Plans,
+    Problem,
+    Setting,
+    make_loops,
+    nearest_target,
+    nearest_turns,
+    problem_at,
+)
 from .lqr import LQR
 from .trajectory import Trajectory
 from .wrapping import watch
 
 _FIRST = 60  # iterations for each start of a first plan
-_COARSE = 1e-4  # relative gain below which one of several plans counts as converged
 _TRIALS = 8  # lengths of step tried in an iteration
+_FINE, _COARSE = 1e-6, 1e-4  # relative gain below which a plan counts as converged; and one of several that are tried
 _CHEAPER = 0.95  # share of the cost of the plan in use below which another takes over
 _PATIENCE = 15  # samples for which a challenger is worked on
 _HORIZON, _HORIZON_UPRIGHT = 6.26, 2.5  # in units of sqrt(L / g)
@@ -181,24 +194,27 @@ def ilqr(
     if not (is_finite(tolerance) and tolerance >= 0):
         raise ValueError(f"tolerance must be finite and at least 0; got {tolerance!r}.")
     tolerance = float(tolerance)  # whole numbers would be compiled for once more
-    problem = planner.problem_at(start)
+    states = start[None]
     if u_guess is None and x_guess is None:
-        plan, tried = planner.best_of_several(start, starts, np.random.default_rng(seed), iterations, _COARSE)
+        rngs = [np.random.default_rng(seed)]
+        plans, tried = planner.cheapest(states, starts, rngs, min(iterations, _FIRST))
+        guess, used, starts_tried = Guess.AS_IT_IS, int(plans.tried[0]), int(tried[0])
     else:
-        plan, tried = planner.guessed(problem, start, u_guess, x_guess), 1
-    used = plan.iterations
-    plan = planner.improved(problem, plan, max(iterations - used, 0), tolerance)
+        plans = planner.guessed(start, u_guess, x_guess)
+        guess, used, starts_tried = Guess.FOLLOWED if x_guess is None else Guess.AS_IT_IS, 0, 1
+    planner.improve(plans, guess, states, max(iterations - used, 0), tolerance)
+    x, u = plans.x[0], plans.u[0]
     return Trajectory(
         rig=planner.rig,
-        x=plan.x,
-        u=plan.u,
-        target=np.array(nearest_target(tuple(plan.x[-1]), problem)),
+        x=x,
+        u=u,
+        target=np.array(nearest_target(tuple(x[-1]), problem_at(tuple(start), planner.setting.problem))),
         about={
             "method": "iLQR",
-            "converged": plan.converged,
-            "iterations": used + plan.iterations,
-            "cost": plan.cost,
-            "starts_tried": tried,
+            "converged": bool(plans.converged[0]),
+            "iterations": used + int(plans.tried[0]),
+            "cost": float(plans.cost[0]),
+            "starts_tried": starts_tried,
             "seed": seed,
             "Q": planner.Q.tolist(),
             "R": planner.R,
@@ -260,10 +276,13 @@ class ILQRMPC:
     whatever is measured: a measurement that is not finite is replaced by the one planned for, and ``held`` in the log
     says where.  Angles are taken to the turn nearest to the plan.  From a state that no force keeps on the track, the
     plan leaves it as little as it can.
+
+    Rows of a batch are planned for side by side in compiled code, by as many threads as the process has cores; in a
+    worker process by one.  Each row's forces are, to the bit, those that it would have alone.
     """
 
-    batched = False
     name = "iLQR MPC"
+    starts_afresh = True
 
     def __init__(
         self,
@@ -288,25 +307,11 @@ class ILQRMPC:
         self.explore = bool(explore) and not upright_only
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Return the law for one run."""
-        if n != 1:
-            raise ValueError(f"An iLQR horizon treats one run at a time; got n = {n}.")
-        return _Horizon(self._planner, self.iterations, self.starts, self.explore, rng)
+        """Return the law for ``n`` runs; each row draws as it would alone, see :func:`dpend.rows.row_generators`."""
+        return _Horizons(self._planner, row_generators(rng, n), self)
 
 
 # ---------------------------------------------------------------------------------------------------- planner and plans
-
-
-class _Plan(NamedTuple):
-    """States, forces and feedback gains, with the figures of the last improvement."""
-
-    x: Array
-    u: Array
-    K: Array
-    cost: float
-    iterations: int
-    accepted: int
-    converged: bool
 
 
 class _Planner:
@@ -327,13 +332,12 @@ class _Planner:
         params, here = rig.params, None
         if model is None:
             g, L = float(params.gravity), float(params.length1 + params.length2) / 2
-            mass, loops = float(params.coefficients().d1), PLANT
+            mass, self.loops = float(params.coefficients().d1), PLANT
             c = params.coefficients()
-            self.parameters: Any = Flow(c._make(map(float, c)), rig.sample_time / rig.substeps, rig.substeps)
+            parameters: Any = Flow(c._make(map(float, c)), rig.sample_time / rig.substeps, rig.substeps)
         else:
-            here, loops, self.parameters = model.slopes(self.target), model.loops, model.parameters
+            here, self.loops, parameters = model.slopes(self.target), model.loops, model.parameters
             g, L, mass = _scales(*here, rig.sample_time)
-        self._rollout, self._improve = loops.rollout, loops.improve
         if g == 0 and (horizon is None or Q is None or R is None):
             raise ValueError("Without gravity there is no scale of time and force: give horizon, Q and R.")
         # Of (10, 50, 50, 1, 1, 1) and 0.1 for links of 1 m and a plant of 2 kg, by dimensional analysis.
@@ -358,7 +362,7 @@ class _Planner:
                 f"The target must be clear of the track's end: expected |pos| < {soft_track:g} m; "
                 f"got {self.target[0]:g} m."
             )
-        self.problem = Problem(
+        problem = Problem(
             force_limit=float(rig.force_limit),
             target=tuple(self.target.tolist()),
             turn=0.0 if upright_only else 2 * math.pi,
@@ -374,195 +378,187 @@ class _Planner:
         # Random guesses: forces of the size of the plant's weight, held for a third of sqrt(L / g), on a cart that is
         # drawn to where it should be.
         pace = math.sqrt(L / g) if g > 0 else self.N * rig.sample_time / _HORIZON
-        self.guess_std = 0.5 * min(float(rig.force_limit), 2 * mass * L / pace**2)
-        self.hold = max(1, round(0.375 * pace / rig.sample_time))
         stiffness = 0.64 / pace
-        self.centring = np.array([-mass * stiffness**2, 0.0, 0.0, -2 * mass * stiffness, 0.0, 0.0])
+        self.setting = Setting(
+            problem=problem,
+            parameters=parameters,
+            P=self.P,
+            feedback=-self.K[0],
+            push=0.5 * min(float(rig.force_limit), 2 * mass * L / pace**2),
+            hold=max(1, round(0.375 * pace / rig.sample_time)),
+            centring=np.array([-mass * stiffness**2, 0.0, 0.0, -2 * mass * stiffness, 0.0, 0.0]),
+            line=np.linspace(0.0, 1.0, self.N + 1),
+        )
         self.settled = 20.0 * float(self.Q[1] + self.Q[2])
         """Cost of five samples upside down: a plan that costs less has no challengers."""
 
-    def problem_at(self, x: Array) -> Problem:
-        """Return the problem from a state on.
-
-        With walls about the target, its turns are those of the state.  Where the cart already stands within the soft
-        wall of the track, a steep one keeps a plan from using what is left of it.
-        """
-        problem = self.problem
-        if abs(x[0]) > problem.soft_track:
-            problem = problem._replace(hard_weight=1e4 * problem.track_weight)
-        if self.upright_only:
-            turns = 2 * math.pi * np.rint((x[1:3] - self.target[1:3]) / (2 * math.pi))
-            near = self.target[0], *(self.target[1:3] + turns).tolist(), 0.0, 0.0, 0.0
-            problem = problem._replace(target=near)
-        return problem
-
-    def followed(self, problem: Problem, x0: Array, x: Array, u: Array, K: Array) -> _Plan:
-        """Return the motion from a state under forces and gains."""
-        new = _Plan(np.empty_like(x), np.empty_like(u), np.zeros_like(K), 0.0, 0, 0, False)
-        none = np.zeros_like(u)
-        cost = self._rollout(x0, x, u, K, none, NO_GAPS, 1.0, problem, self.parameters, self.P, new.x, new.u)
-        return new._replace(cost=cost)
-
-    def improved(self, problem: Problem, plan: _Plan, iterations: int, tolerance: float) -> _Plan:
-        """Improve a plan in place; return it with its new figures."""
-        converged, tried, accepted, cost = self._improve(
-            plan.x, plan.u, plan.K, problem, self.parameters, self.P, iterations, tolerance, _TRIALS
-        )
-        return plan._replace(cost=cost, iterations=tried, accepted=accepted, converged=converged)
-
-    def regulated(self, problem: Problem, x0: Array) -> _Plan:
-        """Return the motion under the saturated regulator."""
-        near = np.array(nearest_target(tuple(x0), problem))
-        gains = np.tile(-self.K, (self.N, 1))
-        states = np.tile(near, (self.N + 1, 1))
-        return self.followed(problem, x0, states, np.zeros(self.N), gains)._replace(K=gains)
-
-    def straight(self, problem: Problem, x0: Array) -> _Plan:
-        """Return a straight line of states, which is no motion."""
-        near = np.array(nearest_target(tuple(x0), problem))
-        N = self.N
-        share = np.linspace(0.0, 1.0, N + 1)[:, None]
-        return _Plan((1 - share) * x0 + share * near, np.zeros(N), np.zeros((N, 6)), math.inf, 0, 0, False)
-
-    def driven(self, problem: Problem, x0: Array, noise: Array) -> _Plan:
-        """Return the motion under random forces."""
-        N = self.N
-        u = np.repeat(self.guess_std * noise, self.hold)[:N]
-        middle = np.zeros((N + 1, 6))
-        middle[:, 0] = self.target[0]
-        return self.followed(problem, x0, middle, u, np.tile(self.centring, (N, 1)))
-
-    def noise(self, rng: np.random.Generator) -> Array:
-        """Draw the numbers that make one random guess."""
-        return rng.standard_normal(-(-self.N // self.hold))
-
-    def best_of_several(
-        self, x0: Array, starts: int, rng: np.random.Generator, iterations: int, tolerance: float
-    ) -> tuple[_Plan, int]:
-        """Return the cheapest plan of several starts, and their number; random ones only if the others are costly."""
-        problem = self.problem_at(x0)
-        iterations = min(iterations, _FIRST)
-        guesses = [self.regulated(problem, x0), self.straight(problem, x0)]
-        plans = [self.improved(problem, guess, iterations, tolerance) for guess in guesses]
-        if not min(plan.cost for plan in plans) <= self.settled:
-            for _ in range(-(-starts // 2)):
-                noise = self.noise(rng)
-                for mirrored in (noise, -noise):
-                    plans.append(self.improved(problem, self.driven(problem, x0, mirrored), iterations, tolerance))
-        finite = [plan for plan in plans if math.isfinite(plan.cost)]
-        return min(finite, key=lambda plan: plan.cost, default=plans[0]), len(plans)
-
-    def guessed(
-        self, problem: Problem, x0: Array, u_guess: npt.ArrayLike | None, x_guess: npt.ArrayLike | None
-    ) -> _Plan:
-        """Return the plan that a caller guesses."""
-        N = self.N
-        u = np.zeros(N) if u_guess is None else checked_array("u_guess", u_guess, f"forces ({N},)")
-        if u.shape != (N,):
-            raise ValueError(f"u_guess must be finite forces of shape ({N},), one a sample; got shape {u.shape}.")
-        limit = float(self.rig.force_limit)
-        u = np.clip(u, -limit, limit)
-        if x_guess is None:
-            return self.followed(problem, x0, np.zeros((N + 1, 6)), u, np.zeros((N, 6)))
-        x = checked_array("x_guess", x_guess, f"states ({N + 1}, 6)")
-        if x.shape != (N + 1, 6):
-            raise ValueError(f"x_guess must be states of shape ({N + 1}, 6); got shape {x.shape}.")
-        x = as_states(x)
-        x[0] = x0
-        return _Plan(x, u, np.zeros((N, 6)), math.inf, 0, 0, False)
-
-
-class _Horizon:
-    """The law at work: the plan in use, the challenger, and the log."""
-
-    def __init__(
-        self, planner: _Planner, iterations: int, starts: int, explore: bool, rng: np.random.Generator
+    def improve(
+        self,
+        plans: Plans,
+        guess: Guess,
+        states: Array,
+        iterations: int,
+        tolerance: float,
+        *,
+        which: npt.NDArray[np.intp] | None = None,
+        least: int = 4,
+        noise: Array | None = None,
+        limits: Array | None = None,
     ) -> None:
-        self._record: dict[str, list[Any]] = {"status": [], "iterations": [], "cost": []}
-        held, self._missing_in = watch(1)
-        self.log: ChainMap[str, list[Any]] = ChainMap(self._record, held)
-        self._planner = planner
-        self._iterations = iterations
-        self._starts = starts
-        self._explore = explore
-        self._rng = rng
-        self._plan: _Plan | None = None
-        self._challenger: _Plan | None = None
-        self._age = 0
+        """Improve plans in place, all or some, each from a guess; see ``improve`` of the compiled loops."""
+        rows = np.arange(len(plans.u)) if which is None else which
+        drawn = np.zeros((len(rows), 1)) if noise is None else noise
+        bounds = np.full(len(rows), math.inf) if limits is None else limits
+
+        def part(first: int, last: int) -> None:
+            self.loops.improve(
+                first,
+                last,
+                rows,
+                int(guess),
+                states,
+                drawn,
+                bounds,
+                plans,
+                self.setting,
+                iterations,
+                tolerance,
+                _TRIALS,
+            )
+
+        in_parts(part, len(rows), least)
+
+    def draw(self, rng: np.random.Generator, guesses: int) -> Array:
+        """Draw the numbers (guesses, N / hold) that make random guesses."""
+        return rng.standard_normal((guesses, -(-self.N // self.setting.hold)))
+
+    def cheapest(
+        self, states: Array, starts: int, rngs: Sequence[np.random.Generator], iterations: int
+    ) -> tuple[Plans, npt.NDArray[np.int64]]:
+        """Return the cheapest plan of several starts from each state, and their number.
+
+        Random ones, in mirrored pairs, are tried where the others are costly.
+        """
+        n = len(states)
+        plans, tried = Plans.blank(n, self.N), np.full(n, 2)
+        self.improve(plans, Guess.REGULATED, states, iterations, _COARSE, least=1)
+        other = Plans.blank(n, self.N)
+        self.improve(other, Guess.STRAIGHT, states, iterations, _COARSE, least=1)
+        plans.take_cheaper(np.arange(n), other)
+        costly = np.flatnonzero(~(plans.cost <= self.settled))
+        if len(costly) and starts:
+            noise = np.stack([self.draw(rngs[i], -(-starts // 2)) for i in costly.tolist()])
+            other = Plans.blank(len(costly), self.N)
+            for k in range(noise.shape[1]):
+                for sign in (1.0, -1.0):
+                    self.improve(
+                        other, Guess.DRIVEN, states[costly], iterations, _COARSE, least=1, noise=sign * noise[:, k]
+                    )
+                    plans.take_cheaper(costly, other)
+            tried[costly] += 2 * noise.shape[1]
+        return plans, tried
+
+    def guessed(self, x0: Array, u_guess: npt.ArrayLike | None, x_guess: npt.ArrayLike | None) -> Plans:
+        """Return the plan that a caller guesses."""
+        N, plans = self.N, Plans.blank(1, self.N)
+        if u_guess is not None:
+            u = checked_array("u_guess", u_guess, f"forces ({N},)")
+            if u.shape != (N,):
+                raise ValueError(f"u_guess must be finite forces of shape ({N},), one a sample; got shape {u.shape}.")
+            plans.u[0] = np.clip(u, -float(self.rig.force_limit), float(self.rig.force_limit))
+        if x_guess is not None:
+            x = checked_array("x_guess", x_guess, f"states ({N + 1}, 6)")
+            if x.shape != (N + 1, 6):
+                raise ValueError(f"x_guess must be states of shape ({N + 1}, 6); got shape {x.shape}.")
+            plans.x[0] = as_states(x)
+            plans.x[0, 0] = x0
+        return plans
+
+
+class _Horizons:
+    """The law at work: of each row the plan in use, the challenger, and the log."""
+
+    def __init__(self, planner: _Planner, rngs: list[np.random.Generator], mpc: ILQRMPC) -> None:
+        n = len(rngs)
+        self._record: dict[str, list[Array]] = {"status": [], "iterations": [], "cost": []}
+        held, self._missing_in = watch(n)
+        self.log: ChainMap[str, list[Array]] = ChainMap(self._record, held)
+        self._planner, self._rngs = planner, rngs
+        self._iterations, self._starts, self._explore = mpc.iterations, mpc.starts, mpc.explore
+        self._everywhere = np.ones(n, dtype=np.bool_)
+        self._nowhere = np.zeros(n, dtype=np.bool_)
+        self._planned = np.zeros(n, dtype=np.bool_)
+        self.plans = Plans.blank(n, planner.N)
+        self.challengers = Plans.blank(n if mpc.explore else 0, planner.N)
+        self._age = np.full(n, -1)  # samples for which a challenger was worked on; there is none at -1
 
     def follow(self, parameters: tuple[Any, ...]) -> None:
         """Plan on the same model with other parameters from now on; the weight of a plan's end stays."""
         self._planner = copy(self._planner)
-        self._planner.parameters = parameters
+        self._planner.setting = self._planner.setting._replace(parameters=parameters)
 
     def __call__(self, t: float, y: Array) -> Array:
-        x = np.array(y[0], dtype=np.float64)
-        missing = self._missing_in(y) is not None and not np.isfinite(x).all()
-        if self._plan is None:
-            if missing:
-                return self._logged(Step.FELL_BACK, 0, math.nan, 0.0)
-            plan, _ = self._planner.best_of_several(x, self._starts, self._rng, _FIRST, _COARSE)
-            self._plan = plan
-            return self._logged(Step.PLANNED, plan.iterations, plan.cost, plan.u[0])
-        planned = self._plan.x[1]
-        if missing:
-            x = planned.copy()
-        elif np.abs([x, planned]).max() < 1e6:  # beyond, a turn is lost in rounding
-            x[1:3] += 2 * math.pi * np.rint((planned[1:3] - x[1:3]) / (2 * math.pi))
-        problem = self._planner.problem_at(x)
-        plan = self._plan = self._advanced(problem, x, self._plan)
-        status = Step.CONVERGED if plan.converged else Step.IMPROVED if plan.accepted else Step.FELL_BACK
-        if self._iterations and plan.cost > self._planner.settled and not missing and self._cheaper(problem, x, plan):
-            status = Step.SWITCHED
-        return self._logged(status, plan.iterations, self._plan.cost, self._plan.u[0])
+        return self.among(t, y, self._everywhere)
 
-    def _logged(self, status: Step, iterations: int, cost: float, force: float) -> Array:
-        self._record["status"].append(float(status))
-        self._record["iterations"].append(float(iterations))
-        self._record["cost"].append(cost)
-        return np.array([force])
+    def among(self, t: float, y: Array, rows: npt.NDArray[np.bool_]) -> Array:
+        """Return the forces where the law is in charge; the other rows forget their plans, and take no time."""
+        n, plans, planner = len(rows), self.plans, self._planner
+        missing = self._missing_in(y)
+        missing = self._nowhere if missing is None else missing
+        self._planned &= rows
+        self._age[~rows] = -1
+        going, beginning = np.flatnonzero(self._planned), np.flatnonzero(rows & ~self._planned & ~missing)
+        status, iterations, cost = np.full(n, float(Step.FELL_BACK)), np.zeros(n), np.full(n, math.nan)
+        forces = np.zeros(n)
+        if len(beginning):
+            first, _ = planner.cheapest(y[beginning], self._starts, [self._rngs[i] for i in beginning.tolist()], _FIRST)
+            plans.take(beginning, first)
+            self._planned[beginning], status[beginning] = True, Step.PLANNED
+            iterations[beginning] = first.tried
+        if len(going):
+            states = np.array(y, dtype=np.float64)
+            nearest_turns(going, states, missing, plans.x)
+            planner.improve(plans, Guess.CARRIED_ON, states, self._iterations, _FINE, which=going)
+            improved = np.where(plans.accepted[going] > 0, Step.IMPROVED, Step.FELL_BACK)
+            status[going] = np.where(plans.converged[going], Step.CONVERGED, improved)
+            iterations[going] = plans.tried[going]
+            costly = going[(plans.cost[going] > planner.settled) & ~missing[going]]
+            if len(costly) and self._iterations:
+                status[self._challenged(costly, states)] = Step.SWITCHED
+        answered = self._planned
+        forces[answered], cost[answered] = plans.u[answered, 0], plans.cost[answered]
+        for name, entry in zip(self._record, (status, iterations, cost), strict=True):
+            self._record[name].append(entry)
+        return forces
 
-    def _advanced(self, problem: Problem, x: Array, plan: _Plan) -> _Plan:
-        """Shift a plan by a sample, follow it from a state, and improve it.
-
-        A plan that cannot be followed is abandoned for no force at all.
-        """
-        planner = self._planner
-        end, gain = plan.x[-1], planner.K[0]
-        last = -float(gain @ (end - np.array(nearest_target(end.tolist(), problem))))
-        states = np.concatenate((plan.x[1:], plan.x[-1:]))
-        forces = np.append(plan.u[1:], min(max(last, -problem.force_limit), problem.force_limit))
-        gains = np.concatenate((plan.K[1:], -gain[None]))
-        followed = planner.followed(problem, x, states, forces, gains)
-        if not math.isfinite(followed.cost):
-            gains[:], forces[:] = 0.0, 0.0
-            followed = planner.followed(problem, x, states, forces, gains)
-        if not math.isfinite(followed.cost):
-            followed.x[:], followed.u[:] = x, 0.0
-            return followed._replace(K=gains)
-        return planner.improved(problem, followed._replace(K=gains), self._iterations, 1e-6)
-
-    def _cheaper(self, problem: Problem, x: Array, plan: _Plan) -> bool:
-        """Try the regulator, and improve the challenger for a sample; return whether one took over."""
-        regulated = self._planner.regulated(problem, x)
-        if regulated.cost < _CHEAPER * plan.cost:  # a plan may well pass the target by
-            self._plan = self._planner.improved(problem, regulated, self._iterations, 1e-6)
-            return True
+    def _challenged(self, costly: npt.NDArray[np.intp], states: Array) -> npt.NDArray[np.intp]:
+        """Try the regulator, and improve the challengers for a sample; return the rows where one took over."""
+        planner, plans, others = self._planner, self.plans, self.challengers
+        limits = _CHEAPER * plans.cost
+        regulated = Plans.blank(len(costly), planner.N)
+        planner.improve(regulated, Guess.REGULATED, states[costly], self._iterations, _FINE, limits=limits[costly])
+        passed_by = regulated.cost < limits[costly]  # a plan may well pass the target by
+        plans.take(costly[passed_by], regulated, passed_by)
         if not self._explore:
-            return False
-        if self._challenger is None:
-            noise = self._planner.noise(self._rng)
-            guess = self._planner.driven(problem, x, noise if plan.u[0] >= 0 else -noise)  # so a mirrored run mirrors
-            self._challenger = self._planner.improved(problem, guess, self._iterations, _COARSE)
-            self._age = 0
-            return False
-        challenger = self._advanced(problem, x, self._challenger)
-        self._age += 1
-        better = challenger.cost < _CHEAPER * plan.cost
-        if better:
-            self._plan = challenger
-        self._challenger = None if better or self._age >= _PATIENCE or challenger.converged else challenger
-        return better
+            return costly[passed_by]
+        costly, taken = costly[~passed_by], costly[passed_by]
+        old, new = costly[self._age[costly] >= 0], costly[self._age[costly] < 0]
+        better = old[:0]
+        if len(old):
+            planner.improve(others, Guess.CARRIED_ON, states, self._iterations, _FINE, which=old)
+            self._age[old] += 1
+            better = old[others.cost[old] < limits[old]]
+            plans.take(better, others, better)
+            self._age[old[others.converged[old] | (self._age[old] >= _PATIENCE)]] = -1
+            self._age[better] = -1
+        if len(new):
+            noise = np.concatenate([planner.draw(self._rngs[i], 1) for i in new.tolist()])
+            sign = np.where(plans.u[new, 0] >= 0, 1.0, -1.0)  # so a mirrored run mirrors
+            planner.improve(
+                others, Guess.DRIVEN, states, self._iterations, _COARSE, which=new, noise=sign[:, None] * noise
+            )
+            self._age[new] = 0
+        return np.concatenate([taken, better])
 
 
 def _scales(A: Array, B: Array, sample_time: float) -> tuple[float, float, float]:

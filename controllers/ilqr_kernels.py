@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from enum import IntEnum
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,7 +25,6 @@ _TURN = 2 * math.pi
 _residuals = inline(make_residuals(sin))
 _DIFFERENCE = 1e-5  # of metres, radians, their rates and newtons
 _BLOCK = 32  # samples linearized side by side, so that LLVM turns the loop over them into vector instructions
-NO_GAPS = np.empty((0, 6, 8))  # what a rollout over the full length takes for D, and does not read
 
 
 class Problem(NamedTuple):
@@ -51,6 +51,78 @@ class Flow(NamedTuple):
     field: Any
     h: float
     substeps: int
+
+
+class Setting(NamedTuple):
+    """What all plans of a receding horizon have in common, as the compiled code takes it."""
+
+    problem: Problem
+    parameters: Any
+    P: Any
+    feedback: Any
+    """Gains (6,) of the regulator, the sign being that of the force."""
+    push: float
+    """Standard deviation of random forces, N, each held for so many samples, on a cart drawn to its place by gains."""
+    hold: int
+    centring: Any
+    line: Any
+    """Shares (N + 1,) of the way along a straight line."""
+
+
+class Plans(NamedTuple):
+    """Plans side by side, a row each, and the figures of their last improvement."""
+
+    x: Any
+    """States (n, N + 1, 6)."""
+    u: Any
+    """Forces (n, N)."""
+    K: Any
+    """Feedback gains (n, N, 6)."""
+    cost: Any
+    converged: Any
+    tried: Any
+    """Iterations, and how many of them were accepted."""
+    accepted: Any
+
+    @classmethod
+    def blank(cls, n: int, N: int) -> Plans:
+        """Return memory for n plans of N samples."""
+        converged, tried, accepted = np.zeros(n, np.bool_), np.zeros(n, np.int64), np.zeros(n, np.int64)
+        return cls(
+            np.zeros((n, N + 1, 6)), np.zeros((n, N)), np.zeros((n, N, 6)), np.zeros(n), converged, tried, accepted
+        )
+
+    def take(self, rows: Any, others: Plans, theirs: Any = slice(None)) -> None:
+        """Take over other plans, all or some, in some rows."""
+        for mine, given in zip(self, others, strict=True):
+            mine[rows] = given[theirs]
+
+    def take_cheaper(self, rows: Any, others: Plans) -> None:
+        """Take over those of other plans that cost less than the ones in some rows, which may have no finite cost."""
+        known = np.isfinite(self.cost[rows])
+        better = np.isfinite(others.cost) & ~(known & (others.cost >= self.cost[rows]))
+        self.take(rows[better], others, better)
+
+
+class Guess(IntEnum):
+    """What an improvement starts from."""
+
+    AS_IT_IS = 0
+    """The plan in the row, be it a motion or not."""
+    FOLLOWED = 1
+    """The motion from the given state by the plan's forces and gains."""
+    CARRIED_ON = 2
+    """That of the plan shifted by a sample, at whose end the saturated regulator is; else that under no force."""
+    REGULATED = 3
+    """The motion under the saturated regulator."""
+    STRAIGHT = 4
+    """A straight line of states to the target, which is no motion."""
+    DRIVEN = 5
+    """The motion under random forces, without gains."""
+
+
+# As numba takes them.
+_AS_IT_IS, _FOLLOWED, _CARRIED_ON, _REGULATED, _STRAIGHT, _DRIVEN = map(int, Guess)
 
 
 class Loops(NamedTuple):
@@ -95,6 +167,38 @@ def nearest_target(x, p):
 
 
 _nearest = inline(nearest_target)
+
+
+@compiled
+def problem_at(x, p):
+    """Return the problem from a state on.
+
+    With walls about the target, its turns are those of the state.  Where the cart already stands within the soft wall
+    of the track, a steep one keeps a plan from using what is left of it.
+    """
+    pos, th1, th2, vel, om1, om2 = p.target
+    if p.turn == 0.0:
+        th1 += _TURN * np.rint((x[1] - th1) / _TURN)
+        th2 += _TURN * np.rint((x[2] - th2) / _TURN)
+    hard = 1e4 * p.track_weight if abs(x[0]) > p.soft_track else 0.0
+    return Problem(
+        p.force_limit,
+        (pos, th1, th2, vel, om1, om2),
+        p.turn,
+        p.Q,
+        p.R,
+        p.soft_track,
+        p.track_weight,
+        p.hard_track,
+        hard,
+        p.soft_angle,
+        p.angle_weight,
+    )
+
+
+@numba.njit(forceinline=True, error_model="numpy")  # not fused: so rounded as numpy would
+def _between(share, start, end):
+    return (1.0 - share) * start + share * end
 
 
 @inline
@@ -388,6 +492,58 @@ def backward(x, u, p, P, D, damping, du, K):
     return first, second, steepest
 
 
+@compiled
+def nearest_turns(which, states, missing, x):
+    """Take the angles of measured states to the turn nearest to what was planned; where one is missing, that counts."""
+    for i in which:
+        planned = _row(x[i], 1)
+        greatest = 0.0
+        for d in range(6):
+            greatest = max(greatest, abs(states[i, d]), abs(planned[d]))
+        if missing[i]:
+            _set_row(states, i, planned)
+        elif greatest < 1e6:  # beyond, a turn is lost in rounding
+            for d in range(1, 3):
+                states[i, d] += _TURN * np.rint((planned[d] - states[i, d]) / _TURN)
+
+
+@compiled
+def _lay_out(guess, x, u, K, start, noise, p, feedback, push, hold, centring, line):
+    """Fill in what a guess is, or what it follows, in place of a plan."""
+    N = len(u)
+    near = _nearest(start, p)
+    if guess == _CARRIED_ON:
+        end = _row(x, N)
+        at_end = _nearest(end, p)
+        force = 0.0
+        for i in range(6):
+            force += feedback[i] * (end[i] - at_end[i])
+        for k in range(N - 1):
+            u[k] = u[k + 1]
+            _set_row(x, k, _row(x, k + 1))
+            _set_row(K, k, _row(K, k + 1))
+        u[N - 1] = _clip(force, p.force_limit)
+        _set_row(x, N - 1, end)
+        _set_row(K, N - 1, feedback)
+    elif guess == _REGULATED:
+        u[:] = 0.0
+        for k in range(N):
+            _set_row(x, k, near)
+            _set_row(K, k, feedback)
+    elif guess == _STRAIGHT:
+        u[:] = 0.0
+        K[:] = 0.0
+        for k in range(N + 1):
+            for i in range(6):
+                x[k, i] = _between(line[k], start[i], near[i])
+    elif guess == _DRIVEN:
+        x[:] = 0.0
+        x[:, 0] = p.target[0]
+        for k in range(N):
+            u[k] = push * noise[k // hold]
+            _set_row(K, k, centring)
+
+
 @inline
 def _keep(x, u, K, x_new, u_new, K_new):
     for k in range(len(u)):
@@ -460,73 +616,111 @@ def make_loops(
         return cost + _final_cost(now, P, p)
 
     @keep
-    def improve(x, u, K, p, parameters, P, iterations, tolerance, trials):
-        """Improve a plan in place; return whether it converged, the iterations tried and accepted, and the cost.
+    def improve(first, last, which, guess, states, noise, limits, plans, setting, iterations, tolerance, trials):
+        """Improve plans in place, each from a guess: those of the rows ``which[first:last]``.
+
+        The motion of a guess starts at ``states`` (n, 6); random forces are made of ``noise`` (len(which), N / hold).
+        One that costs no less than its limit (len(which),) is left as it is.  A row's numbers depend on that row alone,
+        so that they are the same in every batch and in any thread.
 
         While there are gaps, the cost counts them too, at twice the greatest slope by a state, which makes the penalty
         exact.  Where a plan runs out of iterations with gaps left, they are closed by following it with its gains.
         """
-        N = len(u)
+        N = plans.u.shape[1]
+        parameters = setting.parameters
+        P = setting.P
+        none = np.zeros(N)
         D = np.empty((N, 6, 8))
-        du = np.zeros(N)
-        K_new = np.zeros((N, 6))
+        du = np.empty(N)
+        K_new = np.empty((N, 6))
         x_new = np.empty((N + 1, 6))
         u_new = np.empty(N)
-        cost = cost_of(x, u, p, P)
-        start = np.empty(6)
-        for i in range(6):
-            start[i] = x[0, i]
-        damping = 0.0
-        penalty = 0.0
-        gaps = 0.0
-        fresh = False
-        converged = False
-        tried = 0
-        accepted = 0
-        while True:
-            if not fresh:
-                slopes(x, u, parameters, D)
-                gaps = 0.0
-                for k in range(N):
-                    for i in range(6):
-                        gaps += abs(D[k, i, 7])
-                if gaps < 1e-9:  # rounding
+        for j in range(first, last):
+            i = which[j]
+            x = plans.x[i]
+            u = plans.u[i]
+            K = plans.K[i]
+            start = _row(states, i)
+            p = problem_at(start, setting.problem)
+            _lay_out(
+                guess, x, u, K, start, noise[j], p,
+                setting.feedback, setting.push, setting.hold, setting.centring, setting.line,
+            )  # fmt: skip
+            plans.converged[i] = False
+            plans.tried[i] = 0
+            plans.accepted[i] = 0
+            if guess in (_AS_IT_IS, _STRAIGHT):
+                cost = cost_of(x, u, p, P)
+            else:
+                cost = rollout(start, x, u, K, none, D, 1.0, p, parameters, P, x_new, u_new)
+                if guess == _CARRIED_ON and not math.isfinite(cost):
+                    K[:] = 0.0
+                    u[:] = 0.0
+                    cost = rollout(start, x, u, K, none, D, 1.0, p, parameters, P, x_new, u_new)
+                    if not math.isfinite(cost):
+                        u_new[:] = 0.0
+                        for k in range(N + 1):
+                            _set_row(x_new, k, start)
+                if guess == _DRIVEN:
+                    K[:] = 0.0
+                _keep(x, u, K, x_new, u_new, K)
+                if not cost < limits[j]:
+                    plans.cost[i] = cost
+                    continue
+            damping = 0.0
+            penalty = 0.0
+            gaps = 0.0
+            fresh = False
+            while True:
+                enough = plans.tried[i] == iterations or damping > 1e6
+                if enough and plans.tried[i] > 0 and gaps == 0.0:
+                    break  # a motion remains one
+                if not fresh:
+                    slopes(x, u, parameters, D)
                     gaps = 0.0
-                fresh = True
-            if tried == iterations or damping > 1e6:
-                break
-            first, second, steepest = backward(x, u, p, P, D, damping, du, K_new)
-            if gaps == 0.0 and math.isfinite(cost) and -2.0 * first - second <= tolerance * cost:
-                _keep(x, u, K, x, u, K_new)
-                converged = True
-                break
-            # A gap moves the cost by at most the slope there, 2 * steepest with the halving undone: an exact penalty
-            # has to be steeper, and must not fall, or two plans could each be better than the other.
-            penalty = max(penalty, 4.0 * steepest)
-            length = 1.0
-            tried += 1
-            better = False
-            cost_new = cost
-            for _ in range(trials):
-                cost_new = rollout(start, x, u, K_new, du, D, length, p, parameters, P, x_new, u_new)
-                if gaps == 0.0:  # Armijo's rule, with the halving undone
-                    better = cost_new < cost + 1e-4 * length * (2.0 * first + length * second)
-                else:
-                    better = cost_new + (1.0 - length) * gaps * penalty < cost + (1.0 - 1e-4 * length) * gaps * penalty
-                if better:
+                    for k in range(N):
+                        for d in range(6):
+                            gaps += abs(D[k, d, 7])
+                    if gaps < 1e-9:  # rounding
+                        gaps = 0.0
+                    fresh = True
+                if enough:
                     break
-                length *= 0.4
-            if better:
-                _keep(x, u, K, x_new, u_new, K_new)
-                cost = cost_new
-                accepted += 1
-                fresh = False
-            damping = next_damping(damping, better)
-        if gaps > 0.0:
-            cost = rollout(start, x, u, K, np.zeros(N), D, 1.0, p, parameters, P, x_new, u_new)
-            _keep(x, u, K, x_new, u_new, K)
-        return converged, tried, accepted, cost
+                first_order, second_order, steepest = backward(x, u, p, P, D, damping, du, K_new)
+                promised = -2.0 * first_order - second_order
+                if gaps == 0.0 and math.isfinite(cost) and promised <= tolerance * cost:
+                    _keep(x, u, K, x, u, K_new)
+                    plans.converged[i] = True
+                    break
+                # A gap moves the cost by at most the slope there, 2 * steepest with the halving undone: an exact
+                # penalty has to be steeper, and must not fall, or two plans could each be better than the other.
+                penalty = max(penalty, 4.0 * steepest)
+                length = 1.0
+                plans.tried[i] += 1
+                better = False
+                cost_new = cost
+                for _ in range(trials):
+                    cost_new = rollout(start, x, u, K_new, du, D, length, p, parameters, P, x_new, u_new)
+                    if gaps == 0.0:  # Armijo's rule, with the halving undone
+                        better = cost_new < cost + 1e-4 * length * (2.0 * first_order + length * second_order)
+                    else:
+                        left = (1.0 - length) * gaps * penalty
+                        better = cost_new + left < cost + (1.0 - 1e-4 * length) * gaps * penalty
+                    if better:
+                        break
+                    length *= 0.4
+                if better:
+                    _keep(x, u, K, x_new, u_new, K_new)
+                    cost = cost_new
+                    plans.accepted[i] += 1
+                    fresh = False
+                damping = next_damping(damping, better)
+            if gaps > 0.0:
+                cost = rollout(start, x, u, K, none, D, 1.0, p, parameters, P, x_new, u_new)
+                _keep(x, u, K, x_new, u_new, K)
+            plans.cost[i] = cost
 
+    improve.targetoptions["nogil"] = True  # it touches no Python object, and its rows may be shared out among threads
     return Loops(slopes, rollout, improve)
 
 

@@ -14,6 +14,7 @@ from dpend.deprecation import renamed_arguments
 from dpend.params import Array
 from dpend.plant import energies
 from dpend.rig import Rig, as_rig, ideal_rig, single_rig
+from dpend.rows import row_generators
 from dpend.state import as_equilibrium, deviation
 from dpend.stepper import Stepper
 
@@ -22,6 +23,9 @@ from .wrapping import holding, log_of, with_logs
 
 Region = Callable[[Array], npt.NDArray[np.bool_]]
 """Which states ``(n, 6)`` belong to a region, ``(n,)``."""
+
+Chosen = npt.NDArray[np.bool_]
+"""Rows in which a law is in charge."""
 
 
 class Ellipsoid:
@@ -263,8 +267,8 @@ class SwitchingController:
 
     Switching controllers nest: ``SwitchingController(rig, EnergyPump(rig), planner)`` as the ``first`` of another pumps
     energy, plans the last swing, and balances.  A batched law runs along from the start in every row and is used where
-    it is in charge; one that treats a single run at a time is started afresh, its time counted from zero, whenever it
-    is put in charge.
+    it is in charge.  A planner, and any law that treats a single run at a time, starts afresh whenever it is put in
+    charge: a class says so by ``starts_afresh = True`` or ``batched = False``, and so do laws around one.
 
     Parameters
     ----------
@@ -277,7 +281,7 @@ class SwitchingController:
     region : callable, optional
         Which states ``(n, 6)`` are handed over, ``(n,)``: :class:`Ellipsoid`, :class:`RolloutRegion`,
         :class:`NearEnergy` or any function.  Left out, ``RolloutRegion`` where ``then`` is an LQR: the states from
-        which that law comes to rest; ``NearEnergy`` for a planner of one run at a time; required otherwise.
+        which that law comes to rest; ``NearEnergy`` for a law that starts afresh; required otherwise.
     leave : callable, optional
         Which states are handed back.  It is asked only while ``then`` is in charge, so that it makes the hysteresis.
         Left out, those with a link beyond the horizontal, as seen from the target, where ``then`` is an LQR; for any
@@ -320,15 +324,16 @@ class SwitchingController:
             ahead = RolloutRegion(rig, self.then, target=self.then.target)
             self.region: Region = ahead if region is None else region
             self.leave: Region = ahead.fallen if leave is None else leave
-        elif region is None and is_batched(self.then):
+        elif region is None and not _starts_afresh(self.then):
             raise ValueError(
-                f"Say in which region {name_of(self.then)} is to take over, region=...; only an LQR and planners of "
-                "one run at a time (batched = False) have one by default."
+                f"Say in which region {name_of(self.then)} is to take over, region=...; only an LQR and laws that "
+                "start afresh, such as planners, have one by default."
             )
         else:
             self.region = NearEnergy(rig) if region is None else region
             self.leave = _nowhere if leave is None else leave
         self.batched = is_batched(self.first) and is_batched(self.then)
+        self.starts_afresh = _starts_afresh(self.first) or _starts_afresh(self.then)
         self.name = f"{name_of(self.first)}, then {name_of(self.then)}"
 
     def __repr__(self) -> str:
@@ -337,21 +342,23 @@ class SwitchingController:
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
         caught = np.zeros(n, dtype=np.bool_)
-        laws = [_Along(law, n, rng) if is_batched(law) else _Afresh(law, n, rng) for law in (self.first, self.then)]
+        everywhere = np.ones(n, dtype=np.bool_)
+        laws = [_Afresh(law, n, rng) if _starts_afresh(law) else _Along(law, n, rng) for law in (self.first, self.then)]
         log: dict[str, list[Array]] = {"caught": []}
 
-        def act(t: float, y: Array) -> Array:
+        def among(t: float, y: Array, rows: Chosen) -> Array:
+            """Return the forces where this law is in charge; the other rows begin anew when they are next."""
             nonlocal caught
-            before = caught
+            staying, free = rows & caught, rows & ~caught
             caught = np.zeros(n, dtype=np.bool_)
-            if before.any():
-                caught[before] = ~np.asarray(self.leave(y[before]), dtype=np.bool_)
-            if not before.all():
-                caught[~before] = self.region(y[~before])
+            if staying.any():
+                caught[staying] = ~np.asarray(self.leave(y[staying]), dtype=np.bool_)
+            if free.any():
+                caught[free] = self.region(y[free])
             forces = np.zeros(n)
             entries: dict[str, Array] = {}
-            for role, law, chosen in zip(("first", "then"), laws, (~caught, caught), strict=True):
-                np.copyto(forces, law(t, y, chosen), where=chosen)
+            for role, law, chosen in zip(("first", "then"), laws, (rows & ~caught, rows & caught), strict=True):
+                np.copyto(forces, law(t, y, chosen, rows), where=chosen)
                 for name, entry in law.entries().items():
                     name = f"{role}.{name}" if name == "caught" else name
                     np.copyto(entries.setdefault(name, np.full(n, np.nan)), entry, where=chosen)
@@ -361,7 +368,21 @@ class SwitchingController:
             log["caught"].append(caught.astype(np.float64))
             return forces
 
-        return holding(n, with_logs(act, log))
+        act = holding(n, with_logs(lambda t, y: among(t, y, everywhere), log))
+        if all(law.forgets for law in laws):
+            act.among = among  # type: ignore[attr-defined]
+        return act
+
+
+# A law at work may have a method ``among(t, y, rows)``, forces (n,) where it is in charge: the other rows take no time
+# and are forgotten.  So a planner starts afresh row by row, and still plans for many rows at once.
+
+
+def _starts_afresh(law: Controller) -> bool:
+    """Return whether a law starts afresh whenever it is put in charge, or is around one that does."""
+    inner = getattr(law, "controller", None)
+    says_so = not is_batched(law) or bool(getattr(law, "starts_afresh", False))
+    return says_so or (inner is not None and _starts_afresh(inner))
 
 
 class _Along:
@@ -369,9 +390,11 @@ class _Along:
 
     def __init__(self, law: Controller, n: int, rng: np.random.Generator) -> None:
         self._act = law.start(n, rng)
+        self._among = getattr(self._act, "among", None)
+        self.forgets = self._among is not None
 
-    def __call__(self, t: float, y: Array, chosen: npt.NDArray[np.bool_]) -> Array:
-        return self._act(t, y)
+    def __call__(self, t: float, y: Array, chosen: Chosen, rows: Chosen) -> Array:
+        return self._act(t, y) if self._among is None else self._among(t, y, rows)
 
     def entries(self) -> dict[str, Array]:
         """Return what the law logged in the last call."""
@@ -379,26 +402,36 @@ class _Along:
 
 
 class _Afresh:
-    """A law of one run at a time, started row by row when it is put in charge."""
+    """A law that is started when it is put in charge: all rows together where it can be, else row by row."""
+
+    forgets = True
 
     def __init__(self, law: Controller, n: int, rng: np.random.Generator) -> None:
         self._law = law
-        self._rng = rng
+        self._rngs = row_generators(rng, n)
+        self._act = law.start(n, rng) if is_batched(law) else None
+        self._among = getattr(self._act, "among", None)
+        self._chosen = np.zeros(n, dtype=np.bool_)
         self._running: list[tuple[float, Act] | None] = [None] * n
 
-    def __call__(self, t: float, y: Array, chosen: npt.NDArray[np.bool_]) -> Array:
+    def __call__(self, t: float, y: Array, chosen: Chosen, rows: Chosen) -> Array:
+        before, self._chosen = self._chosen, chosen
+        if self._among is not None:
+            return self._among(t, y, chosen) if before.any() or chosen.any() else np.zeros(len(y))
         u = np.zeros(len(y))
         for row in range(len(y)):
             if not chosen[row]:
                 self._running[row] = None
                 continue
-            began, act = self._running[row] or (t, self._law.start(1, self._rng))
+            began, act = self._running[row] or (t, self._law.start(1, self._rngs[row]))
             self._running[row] = began, act
             u[row] = act(t - began, y[row : row + 1])[0]
         return u
 
     def entries(self) -> dict[str, Array]:
         """Return what the law logged in the last call, NaN in the rows where it is not running."""
+        if self._act is not None and self._among is not None:
+            return {name: log[-1] for name, log in log_of(self._act).items()} if self._chosen.any() else {}
         found: dict[str, Array] = {}
         for row, running in enumerate(self._running):
             for name, entries in log_of(running[1]).items() if running else ():

@@ -43,8 +43,9 @@ class Controller(Protocol):
         n : int
             Number of runs.
         rng : numpy.random.Generator
-            The source of whatever the law draws at random; one for the whole batch, so a batched law that draws uses
-            other numbers for a row in another batch.
+            The source of whatever the law draws at random, one for the whole batch.  A batched law that draws numbers
+            for a row takes them from that row's own of ``dpend.rows.row_generators(rng, n)``, so that the row draws in
+            any batch what it draws alone.
 
         Returns
         -------

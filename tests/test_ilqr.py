@@ -15,6 +15,7 @@ from rigs import endless, random_params, random_states, whole
 
 import dpend
 from controllers import ILQRMPC, LQR, Model, Trajectory, ilqr, ilqr_kernels
+from controllers.ilqr_kernels import Guess, Plans
 from dpend import SwingUp, equations, kernels
 from dpend.params import Array
 from dpend.rig import Rig
@@ -30,13 +31,26 @@ def drive(law: Any, y: Array, t: float = 0.0) -> float:
     return float(law(t, y[None])[0])
 
 
-def begin(controller: ILQRMPC, seed: int = 0) -> Any:
-    return controller.start(1, np.random.default_rng(seed))
+def begin(controller: ILQRMPC, seed: int = 0, n: int = 1) -> Any:
+    return controller.start(n, np.random.default_rng(seed))
 
 
 def planner(rig: Rig, **changes: Any) -> Any:
     settings = {"target": "up-up", "horizon": None, "Q": None, "R": None, "upright_only": False} | changes
     return inside._Planner(rig, **settings)
+
+
+def straight(mpc: Any, x0: Array) -> tuple[Array, Array]:
+    """Return a straight line of states, which is no motion, and no forces."""
+    return (1 - mpc.setting.line[:, None]) * x0, np.zeros(mpc.N)
+
+
+def driven(mpc: Any, seed: int) -> Any:
+    """Return the motion from hanging at rest under random forces."""
+    plans = Plans.blank(1, mpc.N)
+    noise = mpc.draw(np.random.default_rng(seed), 1)
+    mpc.improve(plans, Guess.DRIVEN, HANGING[None], 0, 0.0, noise=noise)
+    return plans
 
 
 # ---------------------------------------------------------------------------------------------------------- derivatives
@@ -60,7 +74,7 @@ def test_the_slopes_of_a_sample_are_those_of_the_complex_step(substeps: int) -> 
     N = 40  # more than a block
     x, u = random_states(rng, N + 1), rng.uniform(-40, 40, N)
     D = np.empty((N, 6, 8))
-    ilqr_kernels.PLANT.linearize(x, u, planner(rig).parameters, D)
+    ilqr_kernels.PLANT.linearize(x, u, planner(rig).setting.parameters, D)
     rk4 = equations.make_rk4(equations.make_rates(np.sin, np.cos))
     for column in range(7):
         moved, force = x[:-1].T.astype(complex), u.astype(complex)
@@ -81,21 +95,21 @@ def test_on_a_linear_quadratic_problem_the_backward_pass_gives_the_riccati_gain(
     D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
     A, B = (np.asarray(part) for part in dpend.discretize(*dpend.linearize(mpc.rig.params), mpc.rig.sample_time))
     D[:, :, :6], D[:, :, 6:7], D[:, :, 7] = A, B, 0.0
-    ilqr_kernels.backward(x, u, mpc.problem, mpc.P, D, 0.0, du, K)
+    ilqr_kernels.backward(x, u, mpc.setting.problem, mpc.P, D, 0.0, du, K)
     assert_allclose(K, np.tile(-mpc.lqr.K, (20, 1)), rtol=1e-7)
     assert_array_equal(du, 0.0)
 
 
 def test_a_clamped_force_has_no_feedback_and_stays_in_the_box() -> None:
     mpc = planner(RIG, horizon=0.4)
-    plan = mpc.straight(mpc.problem, np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0]))
+    x, u = straight(mpc, np.array([0.0, 1.0, -1.0, 0.0, 0.0, 0.0]))
     D, du, K = np.empty((20, 6, 8)), np.empty(20), np.empty((20, 6))
-    ilqr_kernels.PLANT.linearize(plan.x, plan.u, mpc.parameters, D)
-    ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 0.0, du, K)
-    clamped = np.abs(plan.u + du) == RIG.force_limit
+    ilqr_kernels.PLANT.linearize(x, u, mpc.setting.parameters, D)
+    ilqr_kernels.backward(x, u, mpc.setting.problem, mpc.P, D, 0.0, du, K)
+    clamped = np.abs(u + du) == RIG.force_limit
     assert clamped.any()
     assert not clamped.all()
-    assert (np.abs(plan.u + du) <= RIG.force_limit).all()
+    assert (np.abs(u + du) <= RIG.force_limit).all()
     assert not K[clamped].any()
     assert K[~clamped].any(axis=1).all()
 
@@ -115,7 +129,7 @@ def quadratic_model(mpc: Any, k: int, x: Array, problem: Any, direction: Array) 
 def test_walls_have_the_slope_and_the_curvature_of_their_cost(place: tuple[float, float, float], k: int) -> None:
     mpc = planner(endless(track_limit=2.4), horizon=0.04, upright_only=True)
     x = np.array([*place, 0.1, -0.2, 0.3])
-    walls = mpc.problem_at(x)
+    walls = ilqr_kernels.problem_at(tuple(x), mpc.setting.problem)
     none = walls._replace(track_weight=0.0, hard_weight=0.0, angle_weight=0.0)
     direction = np.array([1.0, -0.7, 0.4, 0.2, 0.1, -0.3])
     with_them, without_them = (quadratic_model(mpc, k, x, problem, direction) for problem in (walls, none))
@@ -142,7 +156,7 @@ def test_a_backward_pass_predicts_the_cost_of_the_step_it_proposes(damping: floa
     D, du, K = np.empty((N, 6, 8)), np.empty(N), np.empty((N, 6))
     A, B = (np.asarray(part) for part in dpend.discretize(*dpend.linearize(mpc.rig.params), mpc.rig.sample_time))
     D[:, :, :6], D[:, :, 6:7], D[:, :, 7] = A, B, 0.0
-    first, second, _ = ilqr_kernels.backward(x, u, mpc.problem, mpc.P, D, damping, du, K)
+    first, second, _ = ilqr_kernels.backward(x, u, mpc.setting.problem, mpc.P, D, damping, du, K)
 
     def cost(x: Array, u: Array) -> float:
         return float((x[:-1] ** 2 * mpc.Q).sum() + mpc.R * (u**2).sum() + x[-1] @ mpc.P @ x[-1])
@@ -156,12 +170,12 @@ def test_a_backward_pass_predicts_the_cost_of_the_step_it_proposes(damping: floa
 
 def test_damping_shortens_a_step_and_its_feedback_in_proportion() -> None:
     mpc = planner(endless(), horizon=0.4)
-    plan = mpc.straight(mpc.problem, np.array([0.0, 0.3, -0.2, 0.0, 0.0, 0.0]))
+    x, u = straight(mpc, np.array([0.0, 0.3, -0.2, 0.0, 0.0, 0.0]))
     D = np.empty((20, 6, 8))
-    ilqr_kernels.PLANT.linearize(plan.x, plan.u, mpc.parameters, D)
+    ilqr_kernels.PLANT.linearize(x, u, mpc.setting.parameters, D)
     (du, K), (damped, its_K) = [(np.empty(20), np.empty((20, 6))) for _ in range(2)]
-    ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 0.0, du, K)
-    ilqr_kernels.backward(plan.x, plan.u, mpc.problem, mpc.P, D, 3.0, damped, its_K)
+    ilqr_kernels.backward(x, u, mpc.setting.problem, mpc.P, D, 0.0, du, K)
+    ilqr_kernels.backward(x, u, mpc.setting.problem, mpc.P, D, 3.0, damped, its_K)
     # At the last sample, where both know the same cost to go.
     assert_allclose(damped[-1], du[-1] / 4, rtol=1e-12)
     assert_allclose(its_K[-1], K[-1] / 4, rtol=1e-12)
@@ -181,12 +195,12 @@ def test_damping_grows_while_plans_get_no_better_and_soon_vanishes_when_they_do(
 
 def test_where_a_full_step_is_too_long_a_damped_one_is_taken_in_its_place() -> None:
     mpc = planner(RIG)
-    plan = mpc.driven(mpc.problem, HANGING.copy(), mpc.noise(np.random.default_rng(0)))
-    converged, tried, accepted, _ = ilqr_kernels.PLANT.improve(
-        plan.x, plan.u, plan.K, mpc.problem, mpc.parameters, mpc.P, 300, 1e-6, 1
-    )
-    assert converged
-    assert accepted < tried < 300
+    plan, setting = driven(mpc, 0), mpc.setting
+    row, noise, limits = np.zeros(1, dtype=np.intp), np.zeros((1, 1)), np.full(1, math.inf)
+    guess = int(Guess.AS_IT_IS), HANGING[None], noise, limits
+    ilqr_kernels.PLANT.improve(0, 1, row, *guess, plan, setting, 300, 1e-6, 1)
+    assert plan.converged[0]
+    assert plan.accepted[0] < plan.tried[0] < 300
 
 
 # -------------------------------------------------------------------------------------------------------------- offline
@@ -194,11 +208,11 @@ def test_where_a_full_step_is_too_long_a_damped_one_is_taken_in_its_place() -> N
 
 def test_cost_never_rises_over_iterations() -> None:
     mpc = planner(RIG)
-    plan = mpc.driven(mpc.problem, HANGING.copy(), mpc.noise(np.random.default_rng(1)))
-    costs = [plan.cost]
+    plan = driven(mpc, 1)
+    costs = [plan.cost[0]]
     for _ in range(30):
-        plan = mpc.improved(mpc.problem, plan, 1, 0.0)
-        costs.append(plan.cost)
+        mpc.improve(plan, Guess.AS_IT_IS, HANGING[None], 1, 0.0)
+        costs.append(plan.cost[0])
     assert (np.diff(costs) <= 0).all()
     assert costs[-1] < 0.2 * costs[0]
 
@@ -207,7 +221,7 @@ def test_the_cost_in_the_record_is_that_of_the_motion() -> None:
     rig = RIG
     plan = ilqr(rig, HANGING, horizon=1.2, starts=0, iterations=5)
     mpc = planner(rig, horizon=1.2)
-    e = np.stack([_residuals(x, ilqr_kernels.nearest_target(tuple(x), mpc.problem)) for x in plan.x])
+    e = np.stack([_residuals(x, ilqr_kernels.nearest_target(tuple(x), mpc.setting.problem)) for x in plan.x])
     over = np.maximum(np.abs(plan.x[:, 0]) - 2.25, 0)
     stages = (e[:-1] ** 2 * mpc.Q).sum() + 0.1 * (plan.u**2).sum() + 1e4 * (over**2).sum()
     assert_allclose(plan.about["cost"], stages + e[-1] @ LQR(rig, mpc.Q, 0.1).P @ e[-1], rtol=1e-9)
@@ -310,29 +324,30 @@ def test_a_challenger_of_a_mirrored_run_is_mirrored() -> None:
     for _ in range(2):
         for law, sign in zip(laws, (1, -1), strict=True):
             drive(law, sign * x)
-    one, two = (law._challenger for law in laws)
-    assert one.u.any()
-    assert_allclose(one.u, -two.u, rtol=0, atol=1e-6)
+    one, two = (law.challengers.u for law in laws)
+    assert one.any()
+    assert_allclose(one, -two, rtol=0, atol=1e-6)
 
 
 def test_random_starts_come_in_mirrored_pairs() -> None:
-    mpc = planner(RIG)
     x = np.array([0.1, 3.0, 3.3, 0.2, -0.1, 0.3])
-    plans = [mpc.best_of_several(sign * x, 2, np.random.default_rng(1), 60, 1e-4)[0] for sign in (1, -1)]
-    alone, _ = mpc.best_of_several(x, 0, np.random.default_rng(1), 60, 1e-4)
-    assert plans[0].cost < alone.cost  # a random start won
-    assert_allclose(plans[0].u, -plans[1].u, rtol=0, atol=1e-6)
+    several, alone = begin(ILQRMPC(RIG, starts=2), seed=1), begin(ILQRMPC(RIG, starts=0), seed=1)
+    mirrored = begin(ILQRMPC(RIG, starts=2), seed=1)
+    for law, sign in ((several, 1), (mirrored, -1), (alone, 1)):
+        drive(law, sign * x)
+    assert several.log["cost"][0] < alone.log["cost"][0]  # a random start won
+    assert_allclose(several.plans.u, -mirrored.plans.u, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("lean", [0.05, 0.9], ids=["small", "saturated"])
 def test_what_a_shift_appends_to_a_plan_is_the_saturated_regulators(lean: float) -> None:
-    law = begin(ILQRMPC(RIG, horizon=0.2, iterations=0))
+    controller = ILQRMPC(RIG, horizon=0.2, iterations=0)
+    law = begin(controller)
     drive(law, np.array([0.0, lean, lean, 0.0, 0.0, 0.0]))
-    before = law._plan
-    drive(law, before.x[1])
-    end = before.x[-1] - inside.nearest_target(tuple(before.x[-1]), law._planner.problem)
-    assert_allclose(law._plan.u[:-1], before.u[1:], rtol=1e-9)
-    assert_allclose(law._plan.u[-1], np.clip(-law._planner.lqr.K[0] @ end, -40, 40), rtol=1e-9)
+    x, u = law.plans.x[0].copy(), law.plans.u[0].copy()
+    drive(law, x[1])
+    assert_allclose(law.plans.u[0, :-1], u[1:], rtol=1e-9)
+    assert_allclose(law.plans.u[0, -1], np.clip(-controller.K[0] @ x[-1], -40, 40), rtol=1e-9)
 
 
 def test_beyond_its_first_plan_a_plan_that_is_only_shifted_is_the_regulator() -> None:
@@ -361,6 +376,49 @@ def test_from_absolute_encoders_it_swings_up_as_well() -> None:
     task = SwingUp(angle_spread=0.2, steps=300)
     x0 = task.starts(np.random.default_rng(3), 4, RIG)
     assert dpend.simulate_many(RIG, Wrapped(ILQRMPC(RIG)), x0, task=task).success.all()
+
+
+def as_alone(law: Any, rig: Rig, x0: Array, task: Any, samples: int) -> None:
+    """Hold rows of a batch to runs of one, to the bit, forces and logs."""
+    settings: dict[str, Any] = {"duration": samples * rig.sample_time, "task": task, "seed": 5}
+    together = dpend.simulate_many(rig, law, x0, **settings)
+    for row in range(len(x0)):
+        alone = dpend.simulate_many(rig, law, x0[row : row + 1], first_row=row, **settings)
+        assert_array_equal(together.u[row], alone.u[0])
+        for name, log in together.log.items():
+            assert_array_equal(log[row], alone.log[name][0])
+
+
+def test_a_row_of_a_batch_is_the_run_that_it_would_be_alone_also_where_others_have_ended() -> None:
+    task = dpend.Balance(lam=0.8)
+    x0 = task.starts(np.random.default_rng(2), 9, RIG)
+    as_alone(ILQRMPC(RIG, upright_only=True, starts=2), RIG, x0, task, 40)
+    assert 0 < dpend.simulate_many(RIG, ILQRMPC(RIG, upright_only=True, starts=2), x0, 0.8).success.sum() < 9
+
+
+def test_each_row_of_a_batch_that_swings_up_draws_its_own_plans_and_challengers() -> None:
+    rig = RIG.replace(sensor_noise=0.02)
+    task = SwingUp(angle_spread=0.3)
+    x0 = task.starts(np.random.default_rng(2), 5, rig)
+    as_alone(ILQRMPC(rig, starts=4), rig, x0, task, 30)
+    act: Any = ILQRMPC(rig, starts=4).start(2, np.random.default_rng(0))
+    for _ in range(2):
+        act(0.0, np.tile(x0[0], (2, 1)))
+    assert np.abs(np.subtract(*act.challengers.u)).max() > 1.0  # not one and the same
+
+
+def test_in_a_batch_missing_measurements_and_whole_turns_are_each_rows_own() -> None:
+    y = np.tile([0.0, 0.2, -0.1, 0.0, 0.0, 0.0], (4, 3, 1))
+    y[:, 1] *= -1
+    y[2, 0, 1] = np.nan
+    y[1:, 2, 2] += 2 * np.pi
+    law = ILQRMPC(RIG, horizon=0.4)
+    together, alone = begin(law, n=3), [begin(law) for _ in range(3)]
+    for k, row in enumerate(y):
+        forces = together(0.02 * k, row)
+        assert_array_equal(forces, [drive(one, row[i]) for i, one in enumerate(alone)])
+    assert_array_equal(np.array(together.log["held"])[:, 0], [0, 0, 1, 0])
+    assert not np.any(np.array(together.log["held"])[:, 1:])
 
 
 def test_next_to_the_tracks_end_it_saves_what_the_regulator_saves() -> None:
@@ -441,7 +499,7 @@ def test_a_model_that_states_no_slopes_gets_those_of_the_plant_it_copies() -> No
         rig = dpend.rig(name).replace(substeps=2)
         planned = planner(rig)
         D = np.empty((1, 6, 8))
-        ilqr_kernels.PLANT.linearize(np.tile(x, (2, 1)), np.array([u]), planned.parameters, D)
+        ilqr_kernels.PLANT.linearize(np.tile(x, (2, 1)), np.array([u]), planned.setting.parameters, D)
         A, B = model_of(rig).slopes(x, u)
         assert_allclose(np.hstack([A, B]), D[0, :, :7], rtol=0, atol=1e-7)
     with pytest.raises(ValueError, match="x must be one state"):
@@ -538,8 +596,6 @@ def test_several_plants_and_no_gravity_are_refused() -> None:
     message = "Without gravity there is no scale of time and force: give horizon, Q and R."
     with pytest.raises(ValueError, match=whole(message)):
         ILQRMPC(RIG.replace(gravity=0.0))
-    with pytest.raises(ValueError, match=whole("An iLQR horizon treats one run at a time; got n = 2.")):
-        ILQRMPC(RIG).start(2, np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rigs import endless, random_states, whole
 
 import dpend
-from controllers import LQR, Constant, Ellipsoid, EnergyPump, NearEnergy, RolloutRegion, SwitchingController
+from controllers import ILQRMPC, LQR, Constant, Ellipsoid, EnergyPump, NearEnergy, RolloutRegion, SwitchingController
+from controllers.ilqr import Step
 from dpend.controller import Act
 from dpend.params import Array
 
@@ -139,6 +140,26 @@ def test_a_batch_is_its_rows() -> None:
         assert_allclose(dpend.simulate(RIG, catch, x0, 1.0, task=None).u, together.u[row], rtol=1e-9)
 
 
+def test_a_planner_starts_afresh_in_the_rows_that_hand_over_to_it_and_the_others_go_on() -> None:
+    planner = ILQRMPC(RIG, upright_only=True)
+    inner = SwitchingController(
+        RIG, EnergyPump(RIG), planner, region=lambda x: x[:, 0] < 1, leave=lambda x: x[:, 0] > 1
+    )
+    law = SwitchingController(RIG, inner, Constant(7.0), region=lambda x: x[:, 3] > 1, leave=lambda x: x[:, 3] < 1)
+    assert law.batched
+    y = np.zeros((6, 3, 6))
+    y[:, :, 1] = [0.05, 0.1, 0.15]
+    y[2, 1, 0], y[3, 2, 3] = 2.0, 2.0  # lost to the law inside, and to the one outside
+    act = law.start(3, np.random.default_rng(0))
+    together = np.array([act(0.02 * k, row) for k, row in enumerate(y)])
+    planned = np.array(act.log["status"]) == Step.PLANNED  # type: ignore[attr-defined]
+    assert_array_equal(planned, [[1, 1, 1], [0, 0, 0], [0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]])
+    assert together[3, 2] == 7.0
+    for row in range(3):
+        alone = law.start(1, np.random.default_rng(0))
+        assert_array_equal([alone(0.02 * k, each[row : row + 1])[0] for k, each in enumerate(y)], together[:, row])
+
+
 @pytest.mark.slow
 def test_pumping_then_catching_where_the_regulator_is_seen_to_hold_arrives_more_often_than_not() -> None:
     task = dpend.SwingUp(angle_spread=0.1, steps=1500)
@@ -180,8 +201,8 @@ def test_wrong_use_is_refused() -> None:
 
 def test_a_batched_law_that_is_no_lqr_needs_a_region() -> None:
     message = (
-        "Say in which region Constant is to take over, region=...; only an LQR and planners of one run at a time "
-        "(batched = False) have one by default."
+        "Say in which region Constant is to take over, region=...; only an LQR and laws that start afresh, such as "
+        "planners, have one by default."
     )
     with pytest.raises(ValueError, match=whole(message)):
         SwitchingController(RIG, EnergyPump(RIG), Constant(1.0))
