@@ -147,7 +147,7 @@ def balancing() -> list[str]:
             label += f", {lambda_sweep.converged(table, name)} converged"
         if starts < most:
             label += f" ({starts:,} starts)".replace(",", " ")
-        tried = table.rows["lam"].min(), table.rows["lam"].max()
+        tried = float(np.min(table.rows["lam"])), float(np.max(table.rows["lam"]))
         falls = [of.written(".3f", tried) for of in reversed(lambda_sweep.falls_to(table, name))]
         lines.append(line(label, *map(cell, saved(name)), *(" ".join(each).strip() for each in falls)))
     area = kept_boundary()
