@@ -1,10 +1,10 @@
 """The field: all contenders are controllers for what they claim; a user's own joins, or is refused in time."""
 
+import contextlib
+import io
+import multiprocessing
 import os
-import subprocess
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +14,6 @@ from dpend.controller import check_controller
 from studies import _runner
 from studies._field import CONTENDERS, RIG, Contender, Cost, Options, find, own, styles
 from studies._own import Own
-
-ROOT = Path(__file__).parent.parent
 
 BY_HAND = """
 class ByHand:
@@ -162,15 +160,37 @@ def place(tmp_path):
     return tmp_path
 
 
-def fingerprint(place, name="Mine", gain="1", expected=""):
-    """Return the fingerprint of a controller as a process of its own sees it."""
-    program = f"from studies._field import own; print(tuple(own({str(place / 'mine.py')!r} + ':{name}').own))"
-    environment = os.environ | {"GAIN": gain, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, "-c", program], cwd=place, env=environment, capture_output=True, text=True, check=True
-    )
-    assert " ".join(done.stderr.split()) == expected
-    return done.stdout
+FRESH = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    """Return processes in which the field has been loaded, and nothing of a user's own; each does one thing."""
+    context = multiprocessing.get_context(FRESH)
+    if FRESH == "forkserver":
+        context.set_forkserver_preload(["studies._field", __name__])
+    with context.Pool(1, maxtasksperchild=1) as pool:
+        yield pool
+
+
+def seen(place, name, gain):
+    """Return the fingerprint of a controller, and what is said of it."""
+    os.environ["GAIN"] = gain
+    with contextlib.redirect_stderr(io.StringIO()) as said:
+        found = own(f"{place / 'mine.py'}:{name}").own
+    return found, said.getvalue()
+
+
+@pytest.fixture
+def fingerprint(fresh, place):
+    """Return what gives the fingerprint of a controller as a process of its own sees it."""
+
+    def taken(name="Mine", gain="1", expected=""):
+        found, said = fresh.apply(seen, (place, name, gain))
+        assert " ".join(said.split()) == expected
+        return found
+
+    return taken
 
 
 def change_gain(place):
@@ -184,44 +204,39 @@ CHANGES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("what", CHANGES)
-def test_results_of_ones_own_are_computed_again_when_something_changes(what, place):
-    before = fingerprint(place)
-    assert fingerprint(place) == before
+def test_results_of_ones_own_are_computed_again_when_something_changes(what, place, fingerprint):
+    before = fingerprint()
+    assert fingerprint() == before
     CHANGES[what](place)
-    assert fingerprint(place) != before
+    assert fingerprint() != before
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Hidden", "in_a_closure"])
-def test_numbers_count_wherever_they_are_held(name, place):
-    before = fingerprint(place, name)
+def test_numbers_count_wherever_they_are_held(name, place, fingerprint):
+    before = fingerprint(name)
     change_gain(place)
-    assert fingerprint(place, name) != before
+    assert fingerprint(name) != before
 
 
-@pytest.mark.slow
-def test_numbers_count_wherever_they_come_from(place):
-    assert fingerprint(place, "Counted", "1") == fingerprint(place, "Counted", "1")
-    assert fingerprint(place, "Counted", "1") != fingerprint(place, "Counted", "2")
+def test_numbers_count_wherever_they_come_from(fingerprint):
+    assert fingerprint("Counted", "1") == fingerprint("Counted", "1")
+    assert fingerprint("Counted", "1") != fingerprint("Counted", "2")
 
 
-@pytest.mark.slow
-def test_a_comment_and_a_docstring_lose_no_results_of_ones_own(place):
-    before = fingerprint(place)
+def test_a_comment_and_a_docstring_lose_no_results_of_ones_own(place, fingerprint):
+    before = fingerprint()
     (place / "mine.py").write_text((place / "mine.py").read_text().replace("A law.", "A good law.") + "# by me\n")
     (place / "helper.py").write_text('"""Help."""\n' + (place / "helper.py").read_text())
-    assert fingerprint(place) == before
+    assert fingerprint() == before
 
 
-@pytest.mark.slow
-def test_a_controller_whose_numbers_cannot_be_read_is_run_again_each_time(place):
+def test_a_controller_whose_numbers_cannot_be_read_is_run_again_each_time(place, fingerprint):
     add = "import threading\nclass Locked(Counted):\n    def __init__(self):\n        self.lock = threading.Lock()\n"
     add += "        super().__init__()\n"
     (place / "mine.py").write_text((place / "mine.py").read_text() + add)
     said = f"--controller {place / 'mine.py'}:Locked: what lock holds cannot be read, so its runs are not kept."
-    assert fingerprint(place, "Locked", expected=said) != fingerprint(place, "Locked", expected=said)
+    assert fingerprint("Locked", expected=said) != fingerprint("Locked", expected=said)
 
 
 @dataclass(frozen=True)

@@ -330,7 +330,6 @@ ENCODER_2 = np.array([[1, 0, 0], [0, 1, 0], [0, 2, -1]])  # counts from link 1, 
         ("th2", "angle_unit", np.diag([1, 1, -1]), 1),
         ("th2 against th1", "angle_unit", ENCODER_2, 1),
         pytest.param("pos", "position_unit", np.diag([-1, 1, 1]), 1, marks=pytest.mark.slow),
-        pytest.param("th1", "angle_unit", np.diag([1, -1, 1]), 1, marks=pytest.mark.slow),
     ],
 )
 def test_a_wrong_sign_of_a_recording_is_named(what: str, argument: str, turn: Any, force: int) -> None:

@@ -195,7 +195,7 @@ def untimed(folder):
     return rows[~rows["work"].isin(("steps", "ready"))].to_csv()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_killed_in_the_middle_and_started_again_it_ends_with_the_same_table(tmp_path):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     subprocess.run(study(whole), cwd=ROOT, check=True, capture_output=True)
