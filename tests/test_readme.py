@@ -57,8 +57,13 @@ def test_a_controller_in_every_comparison_takes_ten_lines(mine):
     assert dpend.simulate_many(RIG, contender.make(RIG, task), starts, task=task).success.all()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("study", "spec"), OWN)
+@pytest.mark.parametrize(
+    ("study", "spec"),
+    [
+        pytest.param(*each, marks=pytest.mark.nightly if each[0] == "studies.robustness" else pytest.mark.slow)
+        for each in OWN
+    ],
+)
 def test_a_controller_of_ones_own_appears_in_every_comparison(study, spec, mine, tmp_path):
     out = tmp_path / "out"
     others = ["TVLQR"] if study == "studies.swing_up" else ["LQR", "TVLQR"]
