@@ -137,17 +137,17 @@ CONTENDERS: tuple[Contender, ...] = (
               style=("#D55E00", "v", "-")),
     Contender(name="sign of tuned linear", make=lambda rig, task: tuned_law(rig, "sign"), prior_knowledge=_TUNED,
               style=("#CC79A7", "P", "--")),
-    Contender(name="SDRE", make=lambda rig, task: SDRE(rig), style=("#009E73", ">", "-."), cost=Cost.MODERATE),
-    Contender(name="iLQR MPC", make=_planner, tasks=BOTH, style=("#000000", "X", "-"), cost=Cost.MODERATE),
+    Contender(name="SDRE", make=lambda rig, task: SDRE(rig), style=("#009E73", ">", "-.")),
+    Contender(name="iLQR MPC", make=_planner, tasks=BOTH, style=("#000000", "X", "-")),
     Contender(name="NMPC", make=_nonlinear, tasks=BOTH, style=("#777777", "P", "-"), cost=Cost.EXPENSIVE),
     Contender(name="TVLQR", make=_follower, tasks=("swing-up",), style=("#009E73", "^", "-"),
               prior_knowledge=_DESIGNED._replace(reward="effort of a trajectory, then quadratic cost")),
     Contender(name="passivity, LQR", make=lambda rig, task: SwitchingController(rig, EnergySwingUp(rig)),
-              tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#8C6D1F", "v", ":"), cost=Cost.MODERATE),
+              tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#8C6D1F", "v", ":")),
     Contender(name="pumping, LQR", make=lambda rig, task: SwitchingController(rig, EnergyPump(rig)),
-              tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#E69F00", "v", "-."), cost=Cost.MODERATE),
+              tasks=("swing-up",), prior_knowledge=_ENERGY, style=("#E69F00", "v", "-.")),
     Contender(name="pumping, iLQR, LQR", make=_planned_last_swing, tasks=("swing-up",), prior_knowledge=_ENERGY,
-              style=("#D55E00", "s", "--"), cost=Cost.MODERATE),
+              style=("#D55E00", "s", "--")),
     Contender(name="Q tuned", make=_learned("q-tuned"), learner=lambda rig: LinearQLearning.tuned(rig),
               policy="q-tuned", style=("#009E73", "D", "-."), prior_knowledge=PriorKnowledge(
                   "none", "report's cost, weights tuned", "λ = .08 about upright, tests to .3")),
@@ -170,6 +170,14 @@ CONTENDERS: tuple[Contender, ...] = (
               style=("#D55E00", "D", ":"), policy="ddpg-swing-up", trainings="ddpg-swing-up"),
 )  # fmt: skip
 """All that come with the package, as designed with their defaults or as shipped."""
+
+LONG = frozenset({"SDRE", "iLQR MPC", "pumping, iLQR, LQR"})
+"""Those that meet every start, but take minutes for thousands: they come early, in parts that processes share."""
+
+
+def longest_first(contenders: Iterable[Contender]) -> list[Contender]:
+    """Return contenders in the order in which they are best begun, so that no process waits for another at the end."""
+    return sorted(contenders, key=lambda contender: (contender.cost.value, contender.name not in LONG))
 
 
 _OWN: tuple[Style, ...] = (

@@ -2,10 +2,10 @@
 
 Method: every contender that balances does so on gustafsson2016, or another ``--rig``, from θ1, θ2 ~ U[-λ, λ] for 300
 samples; neither link may fall.  All λ share their directions.  The k-th training of a learner has the k-th part of the
-starts, 100 each as in the report; deep learners come as shipped, one training; those that take long get the first
-starts only.  Intervals are 95 %: Wilson's, of learners Student's over trainings.  λ50 and λ90 are where the curve falls
-to a half and to nine tenths, best known are the starts that studies.recoverable or any contender saves; maps show from
-which angles at rest each saves it.
+starts, 100 each as in the report; deep learners come as shipped, one training; NMPC gets the first starts only.
+Intervals are 95 %: Wilson's, of learners Student's over trainings.  λ50 and λ90 are where the curve falls to a half
+and to nine tenths, best known are the starts that studies.recoverable or any contender saves; maps show from which
+angles at rest each saves it.
 
 Finding: of 100 000 starts LQR saves 100/99.9/87.3/67.3 % at λ = .1/.2/.3/.4, Q-learning tuned 100/98.4/82.2/61.3 % (100
 of 100 trainings converge, by search and select); as published 0 of 100 converge.  The report's 94/92/78/49 % are of
@@ -34,7 +34,7 @@ from . import _field, _figures, _runner
 from ._basins import basin, plot_basins
 from ._boundary import kept_boundary
 from ._estimates import Estimate, crossing, difference, mean_share, share
-from ._field import CONTENDERS, Contender, Cost, PriorKnowledge, find, styles
+from ._field import CONTENDERS, LONG, Contender, Cost, PriorKnowledge, find, longest_first, styles
 from ._figures import Curve, Style, best_known, curves, facets, forest, legend_above, mosaic, saved_by_angle
 from ._own import Own
 from ._runner import DEFAULT_RIG, AtLeastTwo, NonNegative, Plant, Positive, Report, Result, Table, where
@@ -73,7 +73,7 @@ BEST_KNOWN = "best known"  # what any force can save, from studies.recoverable, 
 TRACED = ("LQR", "Q published", "Q tuned", "LSPI", "PPO balance")  # whose force is drawn: smooth beside bang-bang
 Falls = tuple[Estimate, Estimate]  # λ50 and λ90, at which a half and nine tenths of the starts are saved
 _TRACE_LAM, _TRACE_SECONDS = 0.1, 1.0
-_ENOUGH = 10_000  # starts of what is shipped: a network takes ten times as long as a gain
+_ENOUGH = 10_000  # starts of what is shipped, and of planners: a network takes ten times as long as a gain
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,11 +86,11 @@ class Options(_field.Options, _runner.OnRig):
     trainings: Positive = 10  # Trainings of each learner that learns in seconds.
     episodes: AtLeastTwo = 100  # Starts on which each trained controller is evaluated at each λ.
     part_of: AtLeastTwo = 250
-    """Of so many starts those that take long get a part, the first ones: iLQR MPC and SDRE a fifth."""
+    """Of so many starts NMPC, and a controller of your own that treats one run at a time, get the first part."""
     basins: NonNegative = 41  # Points on each side of the maps of what is saved from rest; none for no maps.
     plain: bool = False
     """Add the tuned learner with the plain rule of convergence: 20 successes in a row, no tests, no restarts."""
-    all: bool = False  # Add what takes minutes: NMPC, and coarse maps of those that take long.
+    all: bool = False  # Add what takes long: NMPC, and coarse maps of it and of what treats one run at a time.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -125,7 +125,7 @@ class Options(_field.Options, _runner.OnRig):
         """Return on how many starts one that is not trained here is evaluated at each λ."""
         whole = math.prod(self.sizes)
         if contender.cost is Cost.CHEAP:
-            return min(whole, _ENOUGH) if contender.policy else whole
+            return min(whole, _ENOUGH) if contender.policy or contender.name in LONG else whole
         return min(whole, 2 if self.quick else contender.cost.runs(self.part_of))
 
     def side(self, contender: Contender) -> int:
@@ -160,7 +160,7 @@ def jobs(options: Options) -> list[Job]:
             episodes if contender.learner else options.starts(contender), options.side(contender),
             options.seed, contender.own,
         )
-        for contender in sorted(options.contenders("balance"), key=lambda contender: contender.cost.value)
+        for contender in longest_first(options.contenders("balance"))
         for k in range(trainings if contender.learner else 1)
     ]  # fmt: skip
 

@@ -29,7 +29,7 @@ from dpend.params import Array
 
 from . import _field, _perturbations, _runner
 from ._estimates import Estimate, crossing, mean_share, share, worst_cases
-from ._field import RIG, Contender, Cost, TaskName, designed_and_learned, find, styles
+from ._field import RIG, Contender, Cost, TaskName, designed_and_learned, find, longest_first, styles
 from ._figures import Curve, Style, curves, facets, forest, heat_map, intervals, legend_above, share_axis
 from ._own import Own
 from ._perturbations import AXES, GROUPS, NOMINAL, PARAMETERS, SENSORS, VIEWS, Axis, of_groups, realaigym, views
@@ -48,10 +48,10 @@ class Options(_field.Options):
 
     starts: AtLeastTwo = 100
     """Starts of each setting of the six axes, and a tenth of them of each setting of the sensors."""
-    slow_starts: AtLeastTwo = 5  # Starts of those that take long.
+    slow_starts: AtLeastTwo = 5  # Starts of NMPC, and of a controller of your own that treats one run at a time.
     plants: int = 256
-    """Plants that are wrong in everything at once, a power of two; an eighth of them for those that take long."""
-    all: bool = False  # Evaluate those that take long with the sensors too, and NMPC, which takes hours, on everything.
+    """Plants that are wrong in everything at once, a power of two; an eighth of them for what has slow starts."""
+    all: bool = False  # Evaluate NMPC too, which takes hours.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -101,7 +101,8 @@ def jobs(options: Options) -> list[Job]:
             if contender.cost is Cost.CHEAP or contender.own or options.all:
                 few = -(-starts // 10) if contender.cost is Cost.CHEAP else starts
                 found += [job(part="sensors", axis=axis, view=view, starts=few) for axis, view in sensors]
-    return sorted(found, key=lambda job: find(job.contender, job.own).cost.value)
+    order = {each.name: k for k, each in enumerate(longest_first(options.known))}
+    return sorted(found, key=lambda job: order.get(job.contender, 0))
 
 
 def run(job: Job) -> Result:

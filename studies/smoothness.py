@@ -38,7 +38,7 @@ from rl.deep import read_recipe
 
 from . import _field, _runner
 from ._estimates import Estimate, mean_share, median, share
-from ._field import CONTENDERS, RIG, Cost, TaskName, find, styles
+from ._field import CONTENDERS, RIG, Cost, TaskName, find, longest_first, styles
 from ._figures import Style, facets, force_trace, intervals, legend_above, log_axis, mosaic, scatter, share_axis, strip
 from ._own import Own
 from ._runner import AtLeastTwo, Report, Result, Table
@@ -100,7 +100,7 @@ _LEAST = 0.01  # u_max/s; what varies less is drawn there
 class Options(_field.Options):
     """Options of the command line."""
 
-    starts: AtLeastTwo = 400  # Starts of each task; controllers that take long get the first part.
+    starts: AtLeastTwo = 400  # Starts of each task; NMPC gets the first part.
     runs: Path = RUNS  # Folder of the deep trainings; with --only they are left out.
 
 
@@ -174,8 +174,8 @@ def jobs(options: Options) -> list[Job]:
         for task, one in itertools.product(("balance 0.1", "swing-up"), each[few]):
             what = {"contender": name, "starts": n, "training": one.seed, "kept": one}
             found += both(task, device=device, setting=strength, **what)
-    cost = {contender.name: contender.cost.value for contender in CONTENDERS}
-    return sorted(found, key=lambda job: cost.get(job.contender, 1.0))
+    order = {contender.name: k for k, contender in enumerate(longest_first(CONTENDERS))}
+    return sorted(found, key=lambda job: order.get(job.contender, len(order)))
 
 
 class Measured(NamedTuple):

@@ -2,11 +2,11 @@
 
 Method: every controller starts gustafsson2016 (±40 N, ±2.4 m, 0.02 s) from hanging and from the report's side start
 (π/2, π/2), angles moved by up to 0.1 rad, and succeeds if both links are up for the last second of 10 s; then with
-starts moved by ±0.2 rad, with masses and lengths wrong by up to 7, 10 and 15 %, and with encoders and a sample of delay
-behind an extended Kalman filter.  Runs on wrong plants last 30 s (NMPC's 10 s): within a horizon a run succeeds if its
-links were up a second before, for good; failures are off the track, late or never.  Those that take long have a part
-of the runs.  Then the twelve transfers between equilibria, and hanging to upright on every preset.
-Intervals are Wilson's, 95 %.  Steps are timed one run at a time; late ones take longer than the sample time.
+starts moved by ±0.2 rad, with masses and lengths wrong by up to 7, 10 and 15 %, and with encoders and a sample of
+delay behind an extended Kalman filter.  Runs on wrong plants last 30 s (NMPC's 10 s): within a horizon a run succeeds
+if its links were up a second before, for good; failures are off the track, late or never.  NMPC has a part of the
+runs.  Then the twelve transfers between equilibria, and hanging to upright on every preset.  Intervals are Wilson's,
+95 %.  Steps are timed one run at a time; late ones take longer than the sample time.
 
 Finding: iLQR MPC and TVLQR swing up from all 400 starts, NMPC from 80.  iLQR MPC takes 0.1 ms a step (median) and
 succeeds in 100/100 % of 40 starts (hanging/side) with plants 10 % off, and at 15 %, and behind encoders and delay.
@@ -34,7 +34,7 @@ from dpend.params import Array
 
 from . import _field, _runner
 from ._estimates import Estimate, share
-from ._field import CONTENDERS, Contender, Cost, designed_and_learned, find, styles
+from ._field import CONTENDERS, Contender, Cost, designed_and_learned, find, longest_first, styles
 from ._figures import Style, curves, facets, force_trace, forest, heat_map, legend_above, note, share_axis
 from ._own import Own
 from ._runner import Positive, Report, Result, Table
@@ -91,7 +91,7 @@ class Options(_field.Options):
 
     known: ClassVar[tuple[Contender, ...]] = KNOWN
 
-    runs: Positive = 200  # Starts of each controller under each condition; a part of them for those that take long.
+    runs: Positive = 200  # Starts of each controller under each condition; NMPC has a part of them.
     transfer_runs: Positive = 50  # Starts of each transfer.
     preset_runs: Positive = 20  # Starts on each preset.
     all: bool = False  # Try every controller under every condition, and NMPC's transfers too.
@@ -131,7 +131,7 @@ def jobs(options: Options) -> list[Job]:
     """List the work, in chunks of runs, what takes longest first; where it must be quick one run of each kind."""
     cases, quick, each = [], options.quick, (options.runs, options.transfer_runs, options.preset_runs)
     runs, transfer_runs, preset_runs = (1, 1, 1) if quick else each
-    for contender in sorted(options.contenders("swing-up"), key=lambda contender: contender.cost.value):
+    for contender in longest_first(options.contenders("swing-up")):
         name = contender.name
         nominal = Job(contender=name, own=contender.own, runs=runs, seed=options.seed)
         slow, few = contender.cost is Cost.EXPENSIVE, contender.cost.runs(runs)

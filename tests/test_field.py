@@ -12,7 +12,7 @@ import pytest
 import dpend
 from dpend.controller import check_controller
 from studies import _runner
-from studies._field import CONTENDERS, RIG, Contender, Cost, Options, find, own, styles
+from studies._field import CONTENDERS, LONG, RIG, Contender, Cost, Options, find, longest_first, own, styles
 from studies._own import Own
 
 BY_HAND = """
@@ -66,8 +66,13 @@ def test_styles_come_in_the_order_of_those_known_and_users_own_differ():
 
 
 def test_a_share_of_the_runs_is_never_less_than_twenty():
-    (mpc,) = (contender for contender in CONTENDERS if contender.name == "iLQR MPC")
-    assert [mpc.cost.runs(n) for n in (10, 50, 1000)] == [10, 20, 200]
+    assert [Cost.MODERATE.runs(n) for n in (10, 50, 1000)] == [10, 20, 200]
+
+
+def test_all_but_nmpc_meet_every_start_and_what_takes_longest_comes_first():
+    order = [contender.name for contender in longest_first(CONTENDERS)]
+    assert [contender.name for contender in CONTENDERS if contender.cost is not Cost.CHEAP] == order[:1] == ["NMPC"]
+    assert set(order[1 : 1 + len(LONG)]) == LONG
 
 
 @pytest.mark.parametrize("factory", ["ByHand", "limited", "tame", "ready", "law"])

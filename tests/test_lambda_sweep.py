@@ -88,12 +88,13 @@ def test_those_that_take_long_are_evaluated_on_their_part_and_all_others_on_ever
     options = lambda_sweep.Options(trainings=100, episodes=1000)
     assert options.starts(find("LQR")) == 100_000
     assert options.starts(find("PPO balance")) == 10_000
-    assert options.starts(find("iLQR MPC")) == 50
+    assert options.starts(find("iLQR MPC")) == 10_000
+    assert options.starts(find("NMPC")) == 20
     few = lambda_sweep.Options(trainings=2, episodes=5, part_of=1000)
-    assert few.starts(find("iLQR MPC")) == 10
-    assert options.side(find("iLQR MPC")) == 0
+    assert few.starts(find("NMPC")) == 10
+    assert options.side(find("NMPC")) == 0
     every = lambda_sweep.Options(all=True, basins=41)
-    assert (every.side(find("iLQR MPC")), every.side(find("LQR"))) == (18, 41)
+    assert [every.side(find(name)) for name in ("NMPC", "iLQR MPC", "LQR")] == [9, 41, 41]
 
 
 @pytest.mark.slow

@@ -152,10 +152,10 @@ def test_bad_counts_are_refused(options, message):
 
 
 def test_all_contenders_have_the_same_starts_and_the_slow_the_first_of_them(monkeypatch):
-    jobs = leaderboard.jobs(leaderboard.Options(starts=200, only=("iLQR MPC", "PPO swing-up")))
+    jobs = leaderboard.jobs(leaderboard.Options(starts=800, only=("NMPC", "PPO swing-up")))
     runs = [job for job in jobs if (job.work, job.task) == ("runs", "swing-up")]
     assert [(job.contender, job.first, job.runs) for job in runs] == [
-        ("iLQR MPC", 0, 25), ("iLQR MPC", 25, 15), ("PPO swing-up", 0, 200),
+        ("NMPC", 0, 25), ("NMPC", 25, 15), ("PPO swing-up", 0, 800),
     ]  # fmt: skip
     assert len(set(jobs)) == len(jobs)
     seen = []
@@ -165,6 +165,12 @@ def test_all_contenders_have_the_same_starts_and_the_slow_the_first_of_them(monk
             leaderboard._simulate(job, find("LQR").make(RIG, task), task)
     for first, second, every in zip(*(seen[k : k + 3] for k in (0, 3, 6)), strict=True):
         assert (np.concatenate([first, second]) == every[:40]).all()
+
+
+def test_planners_meet_every_start_in_parts_that_processes_share():
+    jobs = leaderboard.jobs(leaderboard.Options(starts=1000, only=("LQR", "iLQR MPC")))
+    runs = [(job.contender, job.first, job.runs) for job in jobs if (job.work, job.task) == ("runs", "balance")]
+    assert runs == [("iLQR MPC", first, 200) for first in range(0, 1000, 200)] + [("LQR", 0, 1000)]
 
 
 def test_every_deep_contender_has_its_trainings_where_they_are_read():
