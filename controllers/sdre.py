@@ -2,8 +2,6 @@ r"""The state-dependent Riccati equation: LQR designed again in every state, for
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -11,12 +9,15 @@ from dpend.controller import Act
 from dpend.params import Array, Params
 from dpend.plant import rates
 from dpend.rig import Rig, single_rig
+from dpend.rows import in_parts
 from dpend.state import nearest_upright
 
 from .lqr import LQR
+from .sdre_kernels import sampled, solved
 from .wrapping import holding, with_logs
 
 _STEP = 1e-30  # of the complex step, which has no cancellation
+_ROWS = 100  # for which a thread pays
 
 
 def factorize(params: Params, x: npt.ArrayLike) -> tuple[Array, Array]:
@@ -116,39 +117,10 @@ def solve_riccati(
     Source: E. Chu, H. Fan, W. Lin and C. Wang, *Structure-preserving algorithms for periodic discrete-time algebraic
     Riccati equations*, 2004.
     """
-    n = len(A)
-    eye = np.eye(A.shape[-1])
-    P = np.tile(Q, (n, 1, 1))
-    found = np.zeros(n, dtype=np.bool_)
-    rows = np.arange(n)
-    A, G, H = A.copy(), B @ B.transpose(0, 2, 1) / R, P.copy()
-    with np.errstate(all="ignore"):
-        for _ in range(doublings):
-            rows, A, G, H = _regular(eye + G @ H, rows, A, G, H)
-            if not len(rows):
-                break
-            solved = np.linalg.solve(eye + G @ H, np.concatenate([A, G], axis=-1))
-            WA, WG = solved[:, :, : len(eye)], solved[:, :, len(eye) :]
-            transposed = A.transpose(0, 2, 1)
-            more = transposed @ H @ WA
-            G = G + A @ WG @ transposed
-            H = H + 0.5 * (more + more.transpose(0, 2, 1))
-            A = A @ WA
-            size = np.abs(H).max(axis=(1, 2))
-            good = np.isfinite(size) & (size < 1e15)
-            done = good & (np.abs(A).max(axis=(1, 2)) < 1e-3) & (np.abs(more).max(axis=(1, 2)) <= 1e-13 * size)
-            P[rows[done]], found[rows[done]] = H[done], True
-            going = good & ~done
-            if not going.any():
-                break
-            rows, A, G, H = rows[going], A[going], G[going], H[going]
+    A, B, Q = (np.ascontiguousarray(each, dtype=np.float64) for each in (A, B, Q))
+    P, found = np.empty_like(A), np.zeros(len(A), dtype=np.bool_)
+    in_parts(lambda first, last: solved(first, last, A, B, Q, float(R), doublings, P, found), len(A), _ROWS)
     return P, found
-
-
-def _regular(matrices: Array, *arrays: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], ...]:
-    """Keep the rows of arrays where a matrix can be solved for."""
-    regular = np.isfinite(matrices).all(axis=(1, 2)) & (np.linalg.det(matrices) != 0)
-    return arrays if regular.all() else tuple(array[regular] for array in arrays)
 
 
 class SDRE:
@@ -225,17 +197,10 @@ class SDRE:
 def _held(A: Array, B: Array, sample_time: float) -> tuple[Array, Array]:
     """Sample many plants with their forces held, as :func:`dpend.discretize` does one.
 
-    scipy's exponential of one such matrix takes longer than all else in a step; this series is summed for a 16th of
-    the sample, where twelve terms are exact to rounding, and squared four times.
+    scipy's exponential of one such matrix takes longer than all else in a step; here a series is summed for a 16th of
+    the sample and squared four times.
     """
-    n, size = A.shape[:2]
-    held = np.zeros((n, size + 1, size + 1))
-    held[:, :size, :size] = A * (sample_time / 16)
-    held[:, :size, size:] = B * (sample_time / 16)
-    eye = np.eye(size + 1)
-    exponential = np.tile(eye, (n, 1, 1))
-    for k in range(12, 0, -1):
-        exponential = eye + held @ exponential / k
-    for _ in range(4):
-        exponential = exponential @ exponential
-    return exponential[:, :size, :size], exponential[:, :size, size:]
+    A, B = np.ascontiguousarray(A), np.ascontiguousarray(B)
+    held_A, held_B = np.empty_like(A), np.empty_like(B)
+    in_parts(lambda first, last: sampled(first, last, A, B, float(sample_time), held_A, held_B), len(A), _ROWS)
+    return held_A, held_B

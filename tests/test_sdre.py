@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from rigs import endless, random_params, random_states, whole
 from scipy.linalg import solve_discrete_are
 
 import dpend
 from controllers import LQR, SDRE
 from controllers.sdre import _held, factorize, solve_riccati
-from dpend import discretize, linearize, rates
+from dpend import discretize, linearize, rates, rows
 from dpend.params import Array
 from dpend.rig import Rig
 
@@ -79,6 +79,17 @@ def test_upright_it_is_the_regulator(preset: str) -> None:
     gains, found = SDRE(rig).gains(np.zeros((1, 6)))
     assert found.all()
     assert_allclose(gains, LQR(rig).K, rtol=1e-6)
+
+
+def test_a_gain_is_the_same_in_every_batch_and_in_any_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = random_states(RNG, 600, scale=0.4)
+    sdre = SDRE("gustafsson2016")
+    monkeypatch.setattr(rows, "_cores", lambda: 3)
+    gains, found = sdre.gains(x)
+    for part in (slice(0, 1), slice(1, 3), slice(500, 600)):
+        alone, its_found = sdre.gains(x[part])
+        assert_array_equal(alone, gains[part])
+        assert_array_equal(its_found, found[part])
 
 
 def test_near_upright_its_force_leaves_a_remainder_of_third_order() -> None:
