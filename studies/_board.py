@@ -144,11 +144,12 @@ _BRIEF = {
     "Prior knowledge": (),
 }
 _BEFORE = (
-    "Controllers and learners of dpend on the report's cart with a double pendulum (gustafsson2016: 40 N, 2.4 m, "
-    "0.02 s), on the same starts. There is one ranking for balancing and one for the swing-up, and none of both. "
+    "Controllers and learners of dpend on {}, on the same starts. There is one ranking for balancing and one for the "
+    "swing-up, and none of both. "
     "Intervals are 95 %; those of ranks are over resampled starts, with the policies as they are.",
     "A dash: it does not do this, or it was not measured. Press a heading to sort.",
 )
+_REPORTS = "the report's cart with a double pendulum (gustafsson2016: 40 N, 2.4 m, 0.02 s)"
 _DOING = {"balance": "balancing", "swing-up": "swinging up"}
 Line = dict[str, Value]  # values by heading
 
@@ -268,5 +269,6 @@ def board(
     }
     tables = [_sheet(f"{task}, the best first", {task: lines[task]}, said) for task, said in own.items()]
     tables.append(_sheet("Cost and prior knowledge", {group: lines[group] for group in ("Cost", "Prior knowledge")}))
+    of = table.plant.name if table.plant else _REPORTS
     whole = _sheet("Leaderboard", lines, "; ".join(filter(None, own.values())))
-    return tables, page("Leaderboard", _BEFORE, whole)
+    return tables, page("Leaderboard", [each.format(of) for each in _BEFORE], whole)

@@ -31,6 +31,7 @@ from . import _runner
 from ._closure import covered
 from ._figures import Style
 from ._own import Own, load_own
+from ._plant import Plant, rig_of
 
 TaskName = Literal["balance", "swing-up"]
 
@@ -205,12 +206,13 @@ def designed_and_learned(names: Iterable[str]) -> list[list[str]]:
 class Options(_runner.Options):
     """Options of a comparison's command line."""
 
+    needs = ("force_limit",)
     known: ClassVar[tuple[Contender, ...]] = CONTENDERS
     """Those that can take part beside the user's own; a study that has more adds them."""
 
     controller: tuple[str, ...] = ()
-    """Your own controllers: path.py:factory or module:factory; the factory takes the rig, or nothing."""
-    only: tuple[str, ...] = ()  # Names of the contenders that take part beside your own; left out, all.
+    """Your own: path.py:factory or module:factory; the factory takes the rig, or nothing."""
+    only: tuple[str, ...] = ()  # Those that take part beside your own; left out, all.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -228,8 +230,19 @@ class Options(_runner.Options):
         return bool(self.controller)
 
     def contenders(self, task: TaskName) -> list[Contender]:
-        """Return those that do a task and were not left out, the user's own last."""
+        """Return those that do a task and were not left out, the user's own last.
+
+        On another rig than that of the comparisons a network takes no part, which was trained there, nor does a learner
+        where the rig is not ideal, and a law that is tuned in simulation, for minutes, only where ``--only`` names it.
+        """
         chosen = [contender for contender in self.known if not self.only or contender.name in self.only]
+        if plant := self.elsewhere:
+            ideal = plant.rig.ideal
+            chosen = [
+                contender for contender in chosen
+                if (not contender.policy or contender.learner) and (ideal or not contender.learner)
+                and (contender.prior_knowledge is not _TUNED or contender.name in self.only)
+            ]  # fmt: skip
         return [contender for contender in (*chosen, *map(own, self.controller)) if task in contender.tasks]
 
 
@@ -250,6 +263,27 @@ def find(name: str, own_controller: Own | None = None, known: Iterable[Contender
     if name not in by_name:
         raise ValueError(f"No contender is called {name!r}.{suggestion(name, by_name)}")
     return by_name[name]
+
+
+def made(contender: Contender, plant: Plant | None, task: Balance | SwingUp) -> Controller:
+    """Return the controller of a contender on the plant of a job; elsewhere a learner is trained there, seed 0.
+
+    What is made elsewhere is kept, since a trajectory for another plant takes seconds.
+    """
+    if plant is None:
+        return contender.make(rig_of(plant), task)
+    return _trained(contender, plant) if contender.learner else _designed(contender, plant, task)
+
+
+@cache
+def _designed(contender: Contender, plant: Plant, task: Balance | SwingUp) -> Controller:
+    return contender.make(plant.rig, task)
+
+
+@cache
+def _trained(contender: Contender, plant: Plant) -> Controller:
+    assert contender.learner is not None
+    return contender.learner(plant.rig).train(0).policy
 
 
 def unchanged(listed: Own) -> Contender:

@@ -1,11 +1,12 @@
 """How a rig is perturbed: RealAIGym's six axes of robustness, plants wrong in everything at once, real sensors.
 
-The rig is changed without the knowledge of the contenders, which believe in :data:`~studies._field.RIG`; they have the
-same starts, noise and pushes; fewer starts or plants are the first of more.
+The rig is changed without the knowledge of the contenders, which believe in it as it is, where nothing else is said in
+:data:`~studies._field.RIG`; they have the same starts, noise and pushes; fewer starts or plants are the first of more.
+Each change adds to what the rig has of its kind, or takes its place where it is worse.
 
 Source of the axes: the robustness leaderboard (v2) of F. Wiebe et al., *Open Source Dual-Purpose Acrobot and Pendubot
 Platform*, 2023, as its code has them (GitHub dfki-ric-underactuated-lab/double_pendulum).  Torques of its 6 N m motors
-became forces of ours in the ratio of the limits, 40 N to 6 N m.
+became forces of ours in the ratio of the limits, such as 40 N to 6 N m.
 """
 
 from __future__ import annotations
@@ -47,14 +48,24 @@ class Axis:
 
 
 _ERRORS = (-0.25, -0.17, -0.08, 0.08, 0.17, 0.25)
-_TORQUE_TO_FORCE = float(RIG.force_limit) / 6.0
-FRICTIONS = {
-    "cart_friction": 0.1 * _TORQUE_TO_FORCE,  # N s/m
-    "joint1_friction": 0.1,  # N m s
-    "joint2_friction": 0.1,
-    "cart_coulomb": 0.2 * _TORQUE_TO_FORCE,  # N
-}
-"""Frictions and their greatest values, of which the rig has none; RealAIGym's negative ones are left out."""
+
+
+def _torque_to_force(rig: Rig) -> float:
+    return float(rig.force_limit) / 6.0
+
+
+def frictions(rig: Rig) -> dict[str, float]:
+    """Return by name how much friction is added at most; RealAIGym's negative ones are left out."""
+    return {
+        "cart_friction": 0.1 * _torque_to_force(rig),  # N s/m
+        "joint1_friction": 0.1,  # N m s
+        "joint2_friction": 0.1,
+        "cart_coulomb": 0.2 * _torque_to_force(rig),  # N
+    }
+
+
+FRICTIONS = frictions(RIG)
+"""Those of the rig of the comparisons, which has none of its own."""
 
 
 def _resolved(params: dpend.Params) -> dict[str, float]:
@@ -65,20 +76,21 @@ def _resolved(params: dpend.Params) -> dict[str, float]:
     return {name: float(value) for name, value in named.items()}
 
 
-PARAMETERS = _resolved(RIG.params)
+PARAMETERS = tuple(_resolved(RIG.params))
 """What is wrong one at a time, all else staying, centres and inertias too; link 2's length then moves nothing."""
 
 
-def _wrong(name: str) -> Change:
-    fixed = {key: PARAMETERS[key] for key in ("com1", "com2", "inertia1", "inertia2")}
-    return lambda levels: fixed | {name: PARAMETERS[name] * (1 + levels)}
+def _wrong(rig: Rig, name: str) -> Change:
+    believed = _resolved(rig.params)
+    fixed = {key: believed[key] for key in ("com1", "com2", "inertia1", "inertia2")}
+    return lambda levels: fixed | {name: believed[name] * (1 + levels)}
 
 
-def _friction(name: str) -> Change:
-    return lambda levels: {name: levels}
+def _more(rig: Rig, name: str) -> Change:
+    return lambda levels: {name: getattr(rig.params, name) + levels}
 
 
-def lag(response: npt.ArrayLike) -> Array:
+def lag(response: npt.ArrayLike, sample_time: float = RIG.sample_time) -> Array:
     r"""Return the time constant, s, with which a force moves by a share :math:`k` of what is missing in each sample.
 
     RealAIGym's :math:`u = u_- + k\,(u_\text{des} - u_-)`, with :math:`k` above 0 and at most 1, which is no lag, is
@@ -86,7 +98,7 @@ def lag(response: npt.ArrayLike) -> Array:
     """
     missing = 1 - np.asarray(response, dtype=np.float64)
     with np.errstate(divide="ignore"):
-        return np.where(missing > 0, -RIG.sample_time / np.log(np.maximum(missing, 1e-300)), 0.0)
+        return np.where(missing > 0, -sample_time / np.log(np.maximum(missing, 1e-300)), 0.0)
 
 
 _POSITIONS, _RATES = np.array([1.0, 1, 1, 0, 0, 0]), np.array([0.0, 0, 0, 1, 1, 1])
@@ -94,35 +106,55 @@ _POSITIONS, _RATES = np.array([1.0, 1, 1, 0, 0, 0]), np.array([0.0, 0, 0, 1, 1, 
 NOMINAL = Axis(name="nominal", group="nominal", levels=(0.0,))
 """The rig as it is believed to be."""
 
-AXES: tuple[Axis, ...] = (
-    *(
-        Axis(name=name, group="model", levels=_ERRORS, changes=_wrong(name), words="error")
-        for name in PARAMETERS
-    ),
-    *(
-        Axis(name=name, group="model", levels=tuple(most * np.arange(1, 7) / 6), changes=_friction(name), words=words)
-        for (name, most), words in zip(FRICTIONS.items(), ("N s/m", "N m s", "N m s", "N"), strict=True)
-    ),
-    Axis(name="velocity noise", group="velocity noise", levels=(0.1, 0.2, 0.3, 0.4, 0.5),
-         changes=lambda levels: {"sensor_noise": levels[..., None] * _RATES}, words="noise of rates, σ (m/s, rad/s)"),
-    Axis(name="force noise", group="force noise", levels=tuple(1.1 * _TORQUE_TO_FORCE * np.arange(1, 6) / 5),
-         changes=lambda levels: {"force_noise": levels}, words="noise of the force, σ (N)"),
-    Axis(name="response", group="response", levels=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
-         changes=lambda levels: {"actuator_lag": lag(1 - levels)}, words="force missing after a sample, 1 − k"),
-    Axis(name="delay", group="delay", levels=(1.0, 2.0),
-         changes=lambda levels: {"sensor_delay": np.rint(levels).astype(np.int64)}, words="delay (samples of 20 ms)"),
-    Axis(name="pulses", group="pulses", levels=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
-         words="pulses, share of 33 N and 5 N m", pulses=True, theirs=0.1),
-)  # fmt: skip
-"""RealAIGym's: one parameter wrong at a time, noise of measured rates, noise of the force, slow force, late
-measurements, pushes; the rig's nominal level left out."""
+
+def axes_of(rig: Rig) -> tuple[Axis, ...]:
+    """Return RealAIGym's axes on a rig, its nominal level left out.
+
+    They are one parameter wrong at a time, noise of measured rates, noise of the force, slow force, late measurements
+    and pushes.
+    """
+    to_force, clock = _torque_to_force(rig), f"samples of {1e3 * rig.sample_time:g} ms"
+    noise, force_noise, slow = rig.sensor_noise, rig.force_noise, rig.actuator_lag
+    return (
+        *(
+            Axis(name=name, group="model", levels=_ERRORS, changes=_wrong(rig, name), words="error")
+            for name in PARAMETERS
+        ),
+        *(
+            Axis(name=name, group="model", levels=tuple(most * np.arange(1, 7) / 6), changes=_more(rig, name),
+                 words=words)
+            for (name, most), words in zip(frictions(rig).items(), ("N s/m", "N m s", "N m s", "N"), strict=True)
+        ),
+        Axis(name="velocity noise", group="velocity noise", levels=(0.1, 0.2, 0.3, 0.4, 0.5),
+             changes=lambda levels: {"sensor_noise": np.maximum(noise, levels[..., None] * _RATES)},
+             words="noise of rates, σ (m/s, rad/s)"),
+        Axis(name="force noise", group="force noise", levels=tuple(1.1 * to_force * np.arange(1, 6) / 5),
+             changes=lambda levels: {"force_noise": np.maximum(force_noise, levels)},
+             words="noise of the force, σ (N)"),
+        Axis(name="response", group="response", levels=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9),
+             changes=lambda levels: {"actuator_lag": np.maximum(slow, lag(1 - levels, rig.sample_time))},
+             words="force missing after a sample, 1 − k"),
+        Axis(name="delay", group="delay", levels=(1.0, 2.0),
+             changes=lambda levels: {"sensor_delay": rig.sensor_delay + np.rint(levels).astype(np.int64)},
+             words=f"delay ({clock})"),
+        Axis(name="pulses", group="pulses", levels=(0.02, 0.05, 0.1, 0.2, 0.5, 1.0),
+             words=f"pulses, share of {5 * to_force:.0f} N and 5 N m", pulses=True, theirs=0.1),
+    )  # fmt: skip
+
+
+AXES = axes_of(RIG)
+"""Those of the rig of the comparisons; names, groups and numbers of levels are the same on every rig."""
 
 GROUPS = tuple(dict.fromkeys(axis.group for axis in AXES))
 """The six."""
 
-LARGEST_PULSE = np.array([5.0 * _TORQUE_TO_FORCE, 5.0, 5.0])
-"""The largest push on the cart, N, and on each link, N m: RealAIGym's on a link, and its share of the limit on the
-cart."""
+
+def largest_pulse(rig: Rig) -> Array:
+    """Return the largest push on the cart, N, and on each link, N m.
+
+    They are RealAIGym's on a link, and its share of the limit on the cart.
+    """
+    return np.array([5.0 * _torque_to_force(rig), 5.0, 5.0])
 
 
 class Pulses:
@@ -145,9 +177,9 @@ class Pulses:
             rng.choice([-1.0, 1.0], (3, 2)),
         )
 
-    def pushing(self, levels: Array) -> Callable[[float], Array]:
+    def pushing(self, levels: Array, rig: Rig = RIG) -> Callable[[float], Array]:
         """Return the pushes ``(starts * L, 3)`` over time at ``L`` levels, start by start."""
-        largest = levels[:, None, None] * LARGEST_PULSE[:, None] * self.signs[:, None]
+        largest = levels[:, None, None] * largest_pulse(rig)[:, None] * self.signs[:, None]
 
         def push(t: float) -> Array:
             shapes = np.exp(-0.5 * ((t - self.moments) / self.widths) ** 2)
@@ -156,36 +188,41 @@ class Pulses:
         return push
 
 
-def task_of(task: TaskName, seconds: float = SECONDS) -> Balance | SwingUp:
+def task_of(task: TaskName, seconds: float = SECONDS, rig: Rig = RIG) -> Balance | SwingUp:
     """Return a task: balance from λ = 0.1, or swing up from hanging, both angles moved by up to 0.1 rad."""
-    steps = round(seconds / RIG.sample_time)
+    steps = round(seconds / rig.sample_time)
     return (
         Balance(lam=0.1, steps=steps) if task == "balance" else SwingUp(start="hanging", angle_spread=0.1, steps=steps)
     )
 
 
-def _starts(task: Balance | SwingUp, n: int, seed: int) -> Array:
-    return task.starts(np.random.default_rng([seed, 1]), n, RIG)
+def _starts(task: Balance | SwingUp, n: int, seed: int, rig: Rig) -> Array:
+    return task.starts(np.random.default_rng([seed, 1]), n, rig)
 
 
-def evaluate(controller: Controller, task: Balance | SwingUp, axis: Axis, starts: int, seed: int) -> Array:
-    """Return where a controller made for the nominal rig succeeds, ``(starts, levels)``, at every level of an axis.
+def evaluate(
+    controller: Controller, task: Balance | SwingUp, axis: Axis, starts: int, seed: int, rig: Rig = RIG
+) -> Array:
+    """Return where a controller made for the nominal rig succeeds, ``(starts, levels)``, at every level of its axis.
 
     Starts, noise and pushes are drawn from the seed; fewer starts are the first of more.
     """
     levels = np.array(axis.levels)
     rows = np.tile(levels, starts)  # all levels of the first start come first
-    push = Pulses(starts, seed).pushing(levels) if axis.pulses else None
+    push = Pulses(starts, seed).pushing(levels, rig) if axis.pulses else None
     runs = dpend.simulate_many(
-        RIG.replace(**axis.changes(rows)), controller, np.repeat(_starts(task, starts, seed), len(levels), axis=0),
+        rig.replace(**axis.changes(rows)), controller, np.repeat(_starts(task, starts, seed, rig), len(levels), axis=0),
         task=task, push=push, seed=seed,
     )  # fmt: skip
     return runs.success.reshape(starts, len(levels)).astype(np.float64)
 
 
-def measure(controller: Controller, task: TaskName, starts: int = 20, seed: int = 0) -> dict[str, Array]:
+def measure(
+    controller: Controller, task: TaskName, starts: int = 20, seed: int = 0, rig: Rig = RIG
+) -> dict[str, Array]:
     """Return outcomes ``(starts, levels)`` on the nominal rig and along RealAIGym's six axes, by the axis' name."""
-    return {axis.name: evaluate(controller, task_of(task), axis, starts, seed) for axis in (NOMINAL, *AXES)}
+    of = task_of(task, rig=rig)
+    return {axis.name: evaluate(controller, of, axis, starts, seed, rig) for axis in (NOMINAL, *axes_of(rig))}
 
 
 def of_groups(outcomes: Mapping[str, Array]) -> dict[str, Array]:
@@ -225,30 +262,34 @@ UNCERTAIN = (*_FACTORS, *FRICTIONS)
 """What is drawn of each plant: factors within 1 ± :data:`WITHIN`, and frictions from zero to their greatest."""
 
 
-def plants(n: int, seed: int) -> dict[str, Array]:
+def plants(n: int, seed: int, rig: Rig = RIG) -> dict[str, Array]:
     r"""Return plants that are wrong in everything at once, arrays ``(n,)`` by the names of :data:`UNCERTAIN`.
 
-    Masses, lengths and the force limit are within a fifth of what is believed; the centres within a fifth of the
-    middle of their link; the inertias are those of the links as rods, :math:`m L^2/12`; and frictions are anything
-    from zero up.  It is a scrambled Sobol sequence, which covers evenly where ``n`` is a power of two.
+    Masses, lengths and the force limit are within a fifth of what is believed; the centres within a fifth of their
+    place along the link; the inertias, where none are given, those of the links as rods, :math:`m L^2/12`; and to
+    frictions anything from zero up is added.  It is a scrambled Sobol sequence, which covers evenly where ``n`` is a
+    power of two.
     """
     points = stats.qmc.Sobol(len(UNCERTAIN), rng=np.random.default_rng([seed, 3])).random(n)
     drawn = dict(zip(UNCERTAIN, points.T, strict=True))
-    known = {name: float(getattr(RIG.params, name)) for name in _FACTORS[:5]} | {"force_limit": float(RIG.force_limit)}
+    known = {name: float(getattr(rig.params, name)) for name in _FACTORS[:5]} | {"force_limit": float(rig.force_limit)}
     found = {name: value * (1 + WITHIN * (2 * drawn[name] - 1)) for name, value in known.items()}
-    for k in "12":
-        found[f"com{k}"] = found[f"length{k}"] / 2 * (1 + WITHIN * (2 * drawn[f"com{k}"] - 1))
-    return found | {name: most * drawn[name] for name, most in FRICTIONS.items()}
+    for k, centre in zip("12", rig.params.centers, strict=True):
+        place = float(centre) / known[f"length{k}"]
+        found[f"com{k}"] = found[f"length{k}"] * place * (1 + WITHIN * (2 * drawn[f"com{k}"] - 1))
+    return found | {name: getattr(rig.params, name) + most * drawn[name] for name, most in frictions(rig).items()}
 
 
-def evaluate_on_plants(controller: Controller, task: Balance | SwingUp, n: int, starts: int, seed: int) -> Array:
+def evaluate_on_plants(
+    controller: Controller, task: Balance | SwingUp, n: int, starts: int, seed: int, rig: Rig = RIG
+) -> Array:
     """Return where a controller made for the nominal rig succeeds on plants, ``(n, starts)``.
 
     ``n`` is a power of two, and fewer are the first of more; the starts on each plant are others.
     """
-    rig = RIG.replace(**{name: np.repeat(values, starts) for name, values in plants(n, seed).items()})
-    x0 = _starts(task, n * starts, seed)  # those of the first plant come first
-    return dpend.simulate_many(rig, controller, x0, task=task, seed=seed).success.reshape(n, starts).astype(np.float64)
+    true = rig.replace(**{name: np.repeat(values, starts) for name, values in plants(n, seed, rig).items()})
+    x0 = _starts(task, n * starts, seed, rig)  # those of the first plant come first
+    return dpend.simulate_many(true, controller, x0, task=task, seed=seed).success.reshape(n, starts).astype(np.float64)
 
 
 def encoders(counts: npt.ArrayLike) -> Array:
@@ -261,17 +302,31 @@ def encoders(counts: npt.ArrayLike) -> Array:
 
 _FINE = {"resolution": encoders(2048)}
 
-SENSORS: tuple[Axis, ...] = (
-    Axis(name="noise", group="sensors", levels=(0.002, 0.005, 0.01, 0.02, 0.05),
-         changes=lambda levels: {"sensor_noise": levels * _POSITIONS}, words="noise of positions, σ (m, rad)"),
-    Axis(name="encoders", group="sensors", levels=tuple(1 / counts for counts in (1024, 256, 128, 64, 32)),
-         changes=lambda levels: {"resolution": encoders(1 / levels)}, words="counts a turn"),
-    Axis(name="delay", group="sensors", levels=(1.0, 2.0, 3.0),
-         changes=lambda levels: _FINE | {"sensor_delay": round(float(levels))}, words="delay (samples of 20 ms)"),
-    Axis(name="lag", group="sensors", levels=(0.4, 0.6, 0.7, 0.8),
-         changes=lambda levels: _FINE | {"actuator_lag": float(lag(1 - levels))}, words="force missing (1 − k)"),
-)  # fmt: skip
-"""Noise of the measured positions; rounding by encoders; and, with encoders of 2048 counts, delay and a slow force."""
+
+def sensors_of(rig: Rig) -> tuple[Axis, ...]:
+    """Return the axes of sensors on a rig.
+
+    They are noise of the measured positions; rounding by encoders; and, with encoders of 2048 counts, delay and a slow
+    force.
+    """
+    noise, slow = rig.sensor_noise, rig.actuator_lag
+    return (
+        Axis(name="noise", group="sensors", levels=(0.002, 0.005, 0.01, 0.02, 0.05),
+             changes=lambda levels: {"sensor_noise": np.maximum(noise, levels * _POSITIONS)},
+             words="noise of positions, σ (m, rad)"),
+        Axis(name="encoders", group="sensors", levels=tuple(1 / counts for counts in (1024, 256, 128, 64, 32)),
+             changes=lambda levels: {"resolution": encoders(1 / levels)}, words="counts a turn"),
+        Axis(name="delay", group="sensors", levels=(1.0, 2.0, 3.0),
+             changes=lambda levels: _FINE | {"sensor_delay": int(rig.sensor_delay) + round(float(levels))},
+             words=f"delay (samples of {1e3 * rig.sample_time:g} ms)"),
+        Axis(name="lag", group="sensors", levels=(0.4, 0.6, 0.7, 0.8),
+             changes=lambda levels: _FINE | {"actuator_lag": max(float(slow), float(lag(1 - levels, rig.sample_time)))},
+             words="force missing (1 − k)"),
+    )  # fmt: skip
+
+
+SENSORS = sensors_of(RIG)
+"""Those of the rig of the comparisons; names and levels are the same on every rig."""
 
 View = Callable[[Rig, Controller], Controller]
 
@@ -294,15 +349,15 @@ def views(axis: Axis) -> tuple[str, ...]:
 
 
 def evaluate_with_sensors(
-    controller: Controller, task: Balance | SwingUp, axis: Axis, view: str, starts: int, seed: int
+    controller: Controller, task: Balance | SwingUp, axis: Axis, view: str, starts: int, seed: int, rig: Rig = RIG
 ) -> Array:
     """Return where a controller succeeds, ``(starts, levels)``, at every level of a sensor axis through one view.
 
     Starts and noise are drawn from the seed: the same at every level and for every view.
     """
-    x0 = _starts(task, starts, seed)
+    x0 = _starts(task, starts, seed, rig)
     columns = []
     for level in axis.levels:
-        rig = RIG.replace(**axis.changes(np.array(level)))
-        columns.append(dpend.simulate_many(rig, VIEWS[view](rig, controller), x0, task=task, seed=seed).success)
+        true = rig.replace(**axis.changes(np.array(level)))
+        columns.append(dpend.simulate_many(true, VIEWS[view](true, controller), x0, task=task, seed=seed).success)
     return np.stack(columns, axis=1).astype(np.float64)

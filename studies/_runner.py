@@ -14,16 +14,18 @@ import importlib
 import inspect
 import json
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from enum import Enum
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, cast, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol, cast, get_type_hints
 
+import numpy as np
 import pandas as pd
 import tyro
 from matplotlib.figure import Figure
@@ -33,24 +35,24 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 import dpend
-from dpend import Rig, archive
+from dpend import archive
 from dpend.provenance import versions
 from dpend.workers import interruptible, pool
 
 from ._closure import closure, covered, kept_folder, kept_table, source_hash
 from ._figures import look
+from ._help import help_of
+from ._plant import DEFAULT_RIG, Plant, rig_of
 from ._table import AnyArray, Table, load, read_rows, save, where
 from ._tables import Sheet, document, terminal
 
 __all__ = [
-    "AtLeastTwo", "NonNegative", "OnRig", "Options", "Plant", "Positive", "Report", "Result", "Study", "Table",
+    "DEFAULT_RIG", "AtLeastTwo", "NonNegative", "Options", "Plant", "Positive", "Report", "Result", "Study", "Table",
     "kept_table", "main", "read_rows", "run_study", "studies", "where",
 ]  # fmt: skip
 
 QUICK = "quick run: too few runs to mean much"
 """What stands on everything that a quick run makes."""
-DEFAULT_RIG = "gustafsson2016"
-"""The rig of the comparisons, for which policies and tables are shipped."""
 _JOB = "dpend study job 1"
 
 
@@ -67,17 +69,22 @@ AtLeastTwo = Annotated[int, Least(2)]
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Options of every study's command line; it is a ValueError if one is less than its type allows."""
+    """Options of every study's command line; it is a ValueError if one is less than its type allows.
 
-    out: Path | None = None
-    """Folder for table, figures and unfinished work; left out, results/ and the study's name (and -quick)."""
+    It is one too if the rig is none, describes several plants, or lacks a limit that the study ``needs``.
+    """
+
+    needs: ClassVar[tuple[Literal["force_limit", "ideal"], ...]] = ()
+    """What a rig must have for the study to make sense: a limit of the force; ideal actuator and sensors, to learn."""
+
+    rig: str = DEFAULT_RIG  # A preset, or a TOML file.
+    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()  # Change a number of it: mass1=.6; repeatable.
+    out: Path | None = None  # Folder for all that is written; left out, in results/.
     seed: NonNegative = 0  # What all randomness is drawn from.
     workers: Positive = field(default_factory=lambda: os.cpu_count() or 1)  # Processes that share the work.
-    quick: bool = False
-    """A small version that ends in seconds and shows that everything works; its figures mean little."""
+    quick: bool = False  # Few runs, to see in seconds that all works.
     format: Literal["png", "pdf", "svg"] = "png"  # File format of the figures.
-    fresh: bool = False
-    """Compute every job here, also those of the contenders that your own joins, whose results are in docs/results."""
+    fresh: bool = False  # Take no results of others from docs/results beside your own.
 
     def __post_init__(self) -> None:
         for name, hint in get_type_hints(type(self), include_extras=True).items():
@@ -85,40 +92,18 @@ class Options:
                 if isinstance(bound, Least) and getattr(self, name) < bound.value:
                     option = f"--{name.replace('_', '-')}"
                     raise ValueError(f"{option} must be at least {bound.value}; got {getattr(self, name)}.")
-
-    @property
-    def joining(self) -> bool:
-        """Whether something of the user's own joins what comes with the project, so that results of that are reused."""
-        return False
-
-
-class Plant(NamedTuple):
-    """A rig as a job names it: a column of the table by its name, and in the job's key with every number."""
-
-    name: str  # That of ``--rig``, and what ``--set`` changed.
-    definition: str  # JSON of all its fields.
-
-    @property
-    def rig(self) -> Rig:
-        """The rig itself."""
-        return _rig(self.definition)
-
-
-@cache
-def _rig(definition: str) -> Rig:
-    return Rig.from_dict(json.loads(definition))
-
-
-@dataclass(frozen=True, kw_only=True)
-class OnRig(Options):
-    """Options of a study that may be done on any rig: ``options.plant`` is what its jobs hold."""
-
-    rig: str = DEFAULT_RIG  # The rig: a preset's name, or a TOML file.
-    set: tyro.conf.UseAppendAction[tuple[str, ...]] = ()  # Changes of it, such as mass1=.6; repeatable.
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        _ = self.plant
+        rig = self.plant.rig
+        if rig.n is not None:
+            raise ValueError(
+                f"--rig {self.rig}: a study is of one plant; this describes {rig.n}. Keep one of each field."
+            )
+        if "force_limit" in self.needs and not np.isfinite(rig.force_limit):
+            raise ValueError(f"--rig {self.rig} has no force limit, which this study needs; --set force_limit=40.")
+        if "ideal" in self.needs and not rig.ideal:
+            raise ValueError(
+                f"--rig {self.rig} has lag, delay, noise or rounding, and what learns in this study learns on ideal "
+                "rigs; set that to zero, as --set sensor_noise=0 does for noise."
+            )
 
     @property
     def plant(self) -> Plant:
@@ -140,7 +125,17 @@ class OnRig(Options):
             rig = dpend.rig(self.rig).replace(**cast(Any, changes))
         except (OSError, TypeError) as error:
             raise ValueError(f"--rig {self.rig}: {error}") from error
-        return Plant(", ".join([self.rig, *self.set]), json.dumps(rig.to_dict()))
+        return Plant(", ".join([self.rig, *self.set]), json.dumps(rig.to_dict(), default=np.ndarray.tolist))
+
+    @property
+    def elsewhere(self) -> Plant | None:
+        """The plant where it is another than that of the comparisons, for which policies and tables are shipped."""
+        return None if self.plant.rig == rig_of(None) else self.plant
+
+    @property
+    def joining(self) -> bool:
+        """Whether something of the user's own joins what comes with the project, so that results of that are reused."""
+        return False
 
 
 class Result(NamedTuple):
@@ -206,9 +201,12 @@ def main(name: str, arguments: Sequence[str] | None = None) -> Table:
     """
     study = cast(Study, importlib.import_module(name))
     console = Console(stderr=True, highlight=False, emoji=False)
+    program, given = f"python -m {name}", sys.argv[1:] if arguments is None else arguments
+    if {"-h", "--help"} & {*given}:
+        print(help_of(study.Options, program, (inspect.getdoc(study) or "").partition("\n\n")[0]))
+        raise SystemExit(0)
     try:
-        asked = (inspect.getdoc(study) or "").partition("\n\nFinding:")[0]  # what it found is in the documentation
-        options = tyro.cli(study.Options, args=arguments, description=asked, prog=f"python -m {name}")
+        options = tyro.cli(study.Options, args=arguments, prog=program)
         with interruptible():
             if arguments is not None and options.workers == 1:
                 return run_study(name, options)
@@ -258,7 +256,7 @@ def run_study(name: str, options: Options, executor: Executor | None = None) -> 
         raise ValueError(f"{name}: two of its jobs are the same.")
     files = {job: out / "jobs" / f"{digits}.npz" for job, digits in keys.items()}
     done = {job: work for job, file in files.items() if (work := _finished(file))}
-    kept = _kept(short) if options.joining and not options.fresh else {}
+    kept = _kept(short) if options.joining and not options.fresh and not options.elsewhere else {}
     shipped = {job: kept[digits] for job, digits in keys.items() if job not in done and digits in kept}
     if shipped:
         print(f"{len(shipped)} of {len(keys)} jobs come from {kept_folder(short)}; --fresh computes them here.")
@@ -287,7 +285,7 @@ def run_study(name: str, options: Options, executor: Executor | None = None) -> 
         "row_columns": list(works[0].record["rows"][0]),
         "keys": {digits: work.record["seconds"] for digits, work in zip(keys.values(), works, strict=True)},
     }
-    save(Table(pd.DataFrame(rows), options.quick, by_job), out, meta)
+    save(Table(pd.DataFrame(rows), options.quick, by_job, options.elsewhere), out, meta)
     table = load(out)
     _publish(study, table, options, out, short)
     return table

@@ -12,7 +12,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from dpend import Rig
 from dpend.archive import atomic
+
+from ._plant import Plant, rig_of
 
 AnyArray = npt.NDArray[Any]
 
@@ -25,6 +28,12 @@ class Table:
     quick: bool = False  # Whether it comes from a quick run, whose sizes are too small to mean much.
     by_job: Mapping[int, Mapping[str, AnyArray]] = field(default_factory=dict)
     """Arrays by number of their job and by name."""
+    plant: Plant | None = None  # Of which plant it is, where that is not the one of the comparisons.
+
+    @property
+    def rig(self) -> Rig:
+        """The rig of which it is."""
+        return rig_of(self.plant)
 
     def where(self, **fields: Any) -> pd.DataFrame:
         """Return the rows in which columns have given values; a KeyError if there is no such column."""
@@ -71,7 +80,8 @@ def save(table: Table, folder: Path, meta: Mapping[str, Any]) -> None:
     with atomic(folder / "arrays.npz") as part:
         np.savez_compressed(part, allow_pickle=False, **cast(Any, flat))
     with atomic(folder / "meta.json") as part:
-        text = json.dumps({**meta, "quick": table.quick, "columns": columns}, indent=2, default=str)
+        plant = {"plant": table.plant} if table.plant else {}
+        text = json.dumps({**meta, "quick": table.quick, **plant, "columns": columns}, indent=2, default=str)
         part.write_text(text + "\n", encoding="utf-8")
 
 
@@ -83,7 +93,8 @@ def load(folder: Path) -> Table:
         for key in stored.files:
             job, _, name = key.partition("|")
             by_job.setdefault(int(job), {})[name] = stored[key]
-    return Table(read_rows(folder / "rows.csv", meta["columns"]), meta["quick"], by_job)
+    plant = Plant(*meta["plant"]) if "plant" in meta else None
+    return Table(read_rows(folder / "rows.csv", meta["columns"]), meta["quick"], by_job, plant)
 
 
 def read_rows(file: Path, columns: Mapping[str, str] | None = None) -> pd.DataFrame:

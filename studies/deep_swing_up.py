@@ -34,6 +34,7 @@ from rl.deep import evaluate, read_recipe
 from . import _runner
 from ._estimates import mean_share
 from ._figures import facets, legend_above, palette, share_axis
+from ._plant import Plant, rig_of
 from ._runner import AtLeastTwo, Report, Result, Table
 from ._tables import Value, sheet
 from ._trainings import RUNS, Kept, kept
@@ -56,6 +57,8 @@ _VARIATIONS = {
 class Options(_runner.Options):
     """Options of the command line."""
 
+    needs = ("force_limit",)
+
     runs: Path = RUNS  # Folder of the trainings.
     starts: AtLeastTwo = 1000  # Fresh starts on which each policy is evaluated.
 
@@ -63,6 +66,17 @@ class Options(_runner.Options):
         super().__post_init__()
         if not kept(self.runs):
             raise ValueError(f"--runs {self.runs} holds no trainings; make some with python -m rl.train.")
+        if self.elsewhere and not self.trainings():
+            raise ValueError(
+                f"--runs {self.runs} holds no trainings on {self.elsewhere.name}, and what was trained on "
+                f"another plant says nothing of this; make some with python -m rl.train --rig {self.rig}."
+            )
+
+    def trainings(self) -> dict[str, list[Kept]]:
+        """Return the trainings in the simulator on the rig, by recipe."""
+        recipes = {name: read_recipe(Path(found[0].place)) for name, found in kept(self.runs).items()}
+        own = {name for name, recipe in recipes.items() if recipe.env is None and recipe.rig == self.plant.rig}
+        return {name: found for name, found in kept(self.runs).items() if name in own}
 
 
 @dataclass(frozen=True)
@@ -74,6 +88,7 @@ class Job:
     starts: int
     seed: int
     kept: Kept | None = None
+    elsewhere: Plant | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,18 +113,19 @@ class Row:
 
 
 def jobs(options: Options) -> list[Job]:
-    """List the work: the least variation, the trainings on our own plant, and LQR."""
+    """List the work: the least variation, the trainings on the rig, and LQR."""
     n, few = (20, 2) if options.quick else (options.starts, 50)
-    own = {name: found for name, found in kept(options.runs).items() if read_recipe(Path(found[0].place)).env is None}
+    own, plant = options.trainings(), options.elsewhere
     if options.quick:
         own = {name: found[:1] for name, found in list(own.items())[:3]}
-    trained = [Job(name, each.seed, n, options.seed, each) for name, found in own.items() for each in found]
-    return [Job(LEAST, 0, min(n, few), options.seed), *trained, Job(LQR_BALANCE, 0, n, options.seed)]
+    trained = [Job(name, each.seed, n, options.seed, each, plant) for name, found in own.items() for each in found]
+    beside = [Job(name, 0, min(n, most), options.seed, None, plant) for name, most in ((LEAST, few), (LQR_BALANCE, n))]
+    return [beside[0], *trained, beside[1]]
 
 
 def run(job: Job) -> Result:
     """Evaluate a policy on fresh starts, and read what its training left."""
-    rig, task, arrays = dpend.rig("gustafsson2016"), "balance", {}
+    rig, task, arrays = rig_of(job.elsewhere), "balance", {}
     learned: dict[str, Any] = {"step_seconds": float(rig.sample_time)}
     controller: dpend.Controller = LQR(rig)
     if job.learner == LEAST:

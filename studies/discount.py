@@ -25,12 +25,12 @@ from rl import LSPI
 from . import _runner
 from ._estimates import Estimate, crossing, mean_share
 from ._figures import Style, facets, intervals, legend_above, share_axis
+from ._plant import Plant, rig_of
 from ._runner import AtLeastTwo, Report, Result, Table
 from ._tables import sheet
 
 MINUTES = 1
 
-RIG = dpend.rig("gustafsson2016")
 DISCOUNTS = (0.95, 0.96, 0.97, 0.98, 0.99, 0.995, 0.999)
 LAMS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 STYLES: dict[str, Style] = {"LQR": ("#0072B2", "o", "-"), "LSPI": ("#D55E00", "s", "--")}
@@ -43,6 +43,8 @@ CONDITIONS = ("nominal", "plants ±15 %", "1 sample of delay", "2 samples of del
 @dataclass(frozen=True, kw_only=True)
 class Options(_runner.Options):
     """Options of the command line."""
+
+    needs = ("force_limit", "ideal")
 
     trainings: AtLeastTwo = 10  # Trainings of LSPI with each discount.
     episodes: AtLeastTwo = 300  # Starts of each training; LQR has those of all.
@@ -57,37 +59,40 @@ class Job:
     training: int
     starts: int
     seed: int
+    elsewhere: Plant | None = None
 
 
 def jobs(options: Options) -> list[Job]:
     """List the work."""
     trainings, episodes = (2, 10) if options.quick else (options.trainings, options.episodes)
     discounts = DISCOUNTS[::3] if options.quick else DISCOUNTS
-    designed = [Job("LQR", each, 0, trainings * episodes, options.seed) for each in discounts]
+    plant = options.elsewhere
+    designed = [Job("LQR", each, 0, trainings * episodes, options.seed, plant) for each in discounts]
     return designed + [
-        Job("LSPI", each, k, episodes, options.seed) for each in discounts for k in range(trainings)
-    ]  # fmt: skip
+        Job("LSPI", each, k, episodes, options.seed, plant) for each in discounts for k in range(trainings)
+    ]
 
 
 def run(job: Job) -> Result:
     """Design or train; count what is saved at every λ, and from λ = 0.3 under every condition."""
-    learner = LSPI(RIG, gamma=job.discount)
+    plain = rig_of(job.elsewhere)
+    learner = LSPI(plain, gamma=job.discount)
     if job.law == "LSPI":
         controller: dpend.Controller = learner.train([job.seed, 31, job.training]).policy
     else:
-        controller = LQR(RIG, learner.state_weights, learner.force_weight, discount=job.discount)
+        controller = LQR(plain, learner.state_weights, learner.force_weight, discount=job.discount)
     mine = slice(job.training * job.starts, (job.training + 1) * job.starts)
 
     def saved(rig: dpend.Rig, lam: float) -> np.ndarray:
         task = dpend.Balance(lam=lam)
-        starts = task.starts(np.random.default_rng([job.seed, 32]), mine.stop, RIG)[mine]
+        starts = task.starts(np.random.default_rng([job.seed, 32]), mine.stop, plain)[mine]
         return dpend.simulate_many(rig, controller, starts, task=task, seed=job.seed).success
 
     factors = 1 + _ERROR * np.random.default_rng([job.seed, 33]).uniform(-1, 1, (mine.stop, len(_WRONG)))[mine].T
-    wrong = {name: getattr(RIG.params, name) * factor for name, factor in zip(_WRONG, factors, strict=True)}
-    rigs = (RIG, RIG.replace(**wrong), RIG.replace(actuator_delay=1), RIG.replace(actuator_delay=2))
+    wrong = {name: getattr(plain.params, name) * factor for name, factor in zip(_WRONG, factors, strict=True)}
+    rigs = (plain, plain.replace(**wrong), plain.replace(actuator_delay=1), plain.replace(actuator_delay=2))
     shares = [float(saved(rig, _LAM).mean()) for rig in rigs]
-    by_lam = np.stack([saved(RIG, lam) for lam in LAMS], axis=1)
+    by_lam = np.stack([saved(plain, lam) for lam in LAMS], axis=1)
     return Result([dict(zip(CONDITIONS, shares, strict=True)) | {"runs": job.starts}], {"saved": by_lam})
 
 

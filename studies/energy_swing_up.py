@@ -70,7 +70,7 @@ SETTINGS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_runner.OnRig):
+class Options(_runner.Options):
     """Options of the command line."""
 
     runs: Positive = 200  # Starts of each law at 20 ms.

@@ -30,12 +30,12 @@ from rl.natural_qac import ablations
 from . import _runner
 from ._estimates import QUARTILES, Estimate, mean_share, share
 from ._figures import COLOURS, Curve, band, forest, heat_map, mosaic, saved_by_angle, share_axis
+from ._plant import Plant, rig_of
 from ._runner import Positive, Report, Result, Table
 from ._tables import Value, at, cell, counted, sheet
 
 MINUTES = 2
 
-RIG = dpend.rig("gustafsson2016")
 LAMS = (0.1, 0.2, 0.3, 0.4)
 STEPS = tuple(float(f"{step:.3g}") for step in np.geomspace(1e-8, 1e-1, 8))
 VARIANCES = tuple(float(f"{variance:.3g}") for variance in np.geomspace(1e-3, 10, 5))
@@ -55,6 +55,8 @@ _EVERY = 4
 @dataclass(frozen=True, kw_only=True)
 class Options(_runner.Options):
     """Options of the command line."""
+
+    needs = ("force_limit", "ideal")
 
     short: Positive = 2  # Seeds of each setting of the ranges.
     short_episodes: Positive = 2000  # Budget of each of these trainings.
@@ -77,6 +79,7 @@ class Job:
     max_episodes: int = 0
     episodes: int
     seed: int
+    elsewhere: Plant | None = None
 
 
 def jobs(options: Options) -> list[Job]:
@@ -84,7 +87,8 @@ def jobs(options: Options) -> list[Job]:
     o = options
     if o.quick:
         o = replace(o, short=1, short_episodes=20, long_episodes=200, trainings=1, ablated=1, episodes=20)
-    lqr = Job(part=REGULATOR, setting=LQR_NAME, trainings=tuple(range(o.trainings)), episodes=o.episodes, seed=o.seed)
+    lqr = Job(part=REGULATOR, setting=LQR_NAME, trainings=tuple(range(o.trainings)), episodes=o.episodes, seed=o.seed,
+              elsewhere=o.elsewhere)  # fmt: skip
     published = replace(lqr, part=LONG, setting=LONG, trainings=(0,), max_episodes=o.long_episodes)
     long = [
         replace(published, alphas=(alpha,), variance=variance, betas=(beta,))
@@ -93,7 +97,7 @@ def jobs(options: Options) -> list[Job]:
     seeds = tuple(range(o.short))
     published = replace(lqr, part="ranges", trainings=seeds, alphas=STEPS, betas=STEPS, max_episodes=o.short_episodes)
     ranges = [replace(published, setting=each, variance=variance) for each in VARIANTS for variance in VARIANCES]
-    names = list(ablations(RIG))
+    names = list(ablations(o.plant.rig))
     if o.quick:
         long, ranges, names = long[: len(LONG_STEPS)], [ranges[0], ranges[-1]], [*names[:2], names[-1]]
     tuned = [
@@ -106,27 +110,27 @@ def jobs(options: Options) -> list[Job]:
 
 def run(job: Job) -> Result:
     """Train, and count the starts that the mean policies save; the report's learner at λ = 0.1 alone."""
-    rows, arrays = [], {}
+    rig, rows, arrays = rig_of(job.elsewhere), [], {}
     for alpha, beta, k in itertools.product(job.alphas, job.betas, job.trainings):
         training = None
         if job.part == TUNED:
-            training = ablations(RIG)[job.setting].train([job.seed, 8, k])
+            training = ablations(rig)[job.setting].train([job.seed, 8, k])
         elif job.part != REGULATOR:
             steps: dict[str, Any] = {"alpha": alpha, "beta": beta, "variance": job.variance}
             learner = GaussianQAC.published(
-                RIG, **steps, max_episodes=job.max_episodes, **VARIANTS.get(job.setting, {})
+                rig, **steps, max_episodes=job.max_episodes, **VARIANTS.get(job.setting, {})
             )
             training = learner.train([job.seed, 9, k])
         if training is not None and job.setting == TUNED:
-            arrays = _while_it_learns(training, job.seed)
+            arrays = _while_it_learns(training, rig, job.seed)
         if training is not None and job.part == LONG:
             arrays = _mean_lengths(training.curve["length"])
         learned = _learned(training, arrays.get("share", np.zeros(0)))
         for lam in LAMS if job.part in (TUNED, REGULATOR) else LAMS[:1]:
             task = dpend.Balance(lam=lam)
-            starts = task.starts(np.random.default_rng([job.seed, 10, k]), job.episodes, RIG)
-            controller = LQR(RIG) if training is None else training.policy
-            saved = dpend.simulate_many(RIG, controller, starts, task=task, seed=job.seed).success
+            starts = task.starts(np.random.default_rng([job.seed, 10, k]), job.episodes, rig)
+            controller = LQR(rig) if training is None else training.policy
+            saved = dpend.simulate_many(rig, controller, starts, task=task, seed=job.seed).success
             which = {"training": k, "alpha": alpha, "beta": beta}
             rows.append(which | learned | {"lam": lam, "successes": int(saved.sum())})
     return Result(rows, arrays)
@@ -159,12 +163,12 @@ def _mean_lengths(lengths: Array) -> dict[str, Array]:
     return {"lengths": np.add.reduceat(lengths, edges[:-1]) / np.diff(edges), "at_episode": edges[1:]}
 
 
-def _while_it_learns(training: Training, seed: int) -> dict[str, Array]:
+def _while_it_learns(training: Training, rig: dpend.Rig, seed: int) -> dict[str, Array]:
     """Return the share of 100 other starts at λ = 0.1 that the mean policy saves, every few updates."""
     task = dpend.Balance(lam=LAMS[0])
-    starts = task.starts(np.random.default_rng([seed, 11]), 100, RIG)
+    starts = task.starts(np.random.default_rng([seed, 11]), 100, rig)
     gains = training.details["gains"][::_EVERY]
-    share = [dpend.simulate_many(RIG, GainPolicy(K), starts, task=task).success.mean() for K in gains]
+    share = [dpend.simulate_many(rig, GainPolicy(K), starts, task=task).success.mean() for K in gains]
     return {"share": np.array(share), "at_episode": training.details["updated"][::_EVERY]}
 
 
@@ -185,7 +189,7 @@ def report(table: Table) -> Report:
         for name in (*VARIANTS, LONG) if len(rows := table.where(setting=name))
     ]  # fmt: skip
     saved, worth, evaluated = {}, {}, []
-    for name in (*ablations(RIG), LQR_NAME):
+    for name in (*ablations(table.rig), LQR_NAME):
         rows = {lam: table.where(setting=name, lam=lam) for lam in LAMS}
         if not (n := len(first := rows[LAMS[0]])):
             continue

@@ -77,20 +77,19 @@ _ENOUGH = 10_000  # starts of what is shipped, and of planners: a network takes 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_field.Options, _runner.OnRig):
+class Options(_field.Options):
     """Options of the command line."""
 
     known: ClassVar[tuple[Contender, ...]] = KNOWN
 
     lam: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
     trainings: Positive = 10  # Trainings of each learner that learns in seconds.
-    episodes: AtLeastTwo = 100  # Starts on which each trained controller is evaluated at each λ.
+    episodes: AtLeastTwo = 100  # Starts of each training at each λ.
     part_of: AtLeastTwo = 250
-    """Of so many starts NMPC, and a controller of your own that treats one run at a time, get the first part."""
-    basins: NonNegative = 41  # Points on each side of the maps of what is saved from rest; none for no maps.
-    plain: bool = False
-    """Add the tuned learner with the plain rule of convergence: 20 successes in a row, no tests, no restarts."""
-    all: bool = False  # Add what takes long: NMPC, and coarse maps of it and of what treats one run at a time.
+    """Starts of which NMPC, and your own that treats one run at a time, get the first part."""
+    basins: NonNegative = 41  # Points on a side of the maps of what is saved from rest.
+    plain: bool = False  # Add tuned Q-learning that ends at 20 successes in a row.
+    all: bool = False  # Add what takes long: NMPC, and maps of the slow.
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -109,16 +108,12 @@ class Options(_field.Options, _runner.OnRig):
         return (min(self.trainings, 2), min(self.episodes, 20)) if self.quick else (self.trainings, self.episodes)
 
     def contenders(self, task: _field.TaskName) -> list[Contender]:
-        """Return those that take part: what takes minutes, and the plain rule, only where they are asked for.
-
-        On another rig than the default one policies that come as they were trained on that do not.
-        """
+        """Return those that take part: what takes minutes, and the plain rule, only where they are asked for."""
         asked = {*self.only, *([PLAIN] if self.plain else [])}
         return [
             each
             for each in super().contenders(task)
-            if (each.learner or not each.policy or self.plant.name == DEFAULT_RIG)
-            and (self.all or each.name in asked or (each.cost is not Cost.EXPENSIVE and each.name != PLAIN))
+            if self.all or each.name in asked or (each.cost is not Cost.EXPENSIVE and each.name != PLAIN)
         ]
 
     def starts(self, contender: Contender) -> int:

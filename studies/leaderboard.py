@@ -28,7 +28,7 @@ import numpy.typing as npt
 import dpend
 import rl
 from controllers import TunedLaw
-from dpend import Balance, SwingUp
+from dpend import Balance, Rig, SwingUp
 from dpend.controller import is_batched
 from dpend.params import Array
 from rl.deep import read_recipe, read_trainings
@@ -39,10 +39,11 @@ from ._board import SAVED, SHOWN, TASKS, UP, Places, board, mean_known, outcomes
 from ._boundary import kept_boundary
 from ._closure import ROOT, file_hash
 from ._estimates import Estimate
-from ._field import CONTENDERS, LONG, RIG, Contender, Cost, TaskName, find, longest_first, styles
+from ._field import CONTENDERS, LONG, Contender, Cost, TaskName, find, longest_first, made, styles
 from ._figures import facets, forest
 from ._own import Own
 from ._perturbations import measure
+from ._plant import Plant, rig_of
 from ._runner import AtLeastTwo, Positive, Report, Result, Table, kept_table, read_rows, where
 from ._step_times import undisturbed
 
@@ -96,6 +97,12 @@ class Job:
     file: str = ""  # hash of the file of deep trainings
     seed: int
     own: Own | None = None
+    elsewhere: Plant | None = None
+
+    @property
+    def rig(self) -> Rig:
+        """The rig as contenders believe it to be."""
+        return rig_of(self.elsewhere)
 
 
 def jobs(options: Options) -> list[Job]:
@@ -103,7 +110,7 @@ def jobs(options: Options) -> list[Job]:
     lams = (0.1, 0.4) if options.quick else tuple(SAVED)
     found = []
     for contender in longest_first(options.taking_part()):
-        job = partial(Job, contender=contender.name, seed=options.seed, own=contender.own)
+        job = partial(Job, contender=contender.name, seed=options.seed, own=contender.own, elsewhere=options.elsewhere)
         some = partial(job, drawn=options.starts)
         n, several = options.runs(contender), options.settings_starts(contender)
         part = _CHUNK if contender.cost is not Cost.CHEAP else _PART if contender.name in LONG else n
@@ -113,7 +120,9 @@ def jobs(options: Options) -> list[Job]:
             found += [job(work="robustness", task=task, runs=several)] if several else []
             found += [job(work="steps", task=task)]
         if contender.learner:
-            train = partial(some, work="training", task=task_name(contender.learner(RIG)), lams=lams, runs=n)
+            train = partial(
+                some, work="training", task=task_name(contender.learner(options.plant.rig)), lams=lams, runs=n
+            )
             found += [train(first=k) for k in range(1 if options.quick else options.trainings)]
         elif not contender.policy:
             found += [job(work="ready", task=contender.tasks[0])]
@@ -133,39 +142,42 @@ def run(job: Job) -> Result:
     return Result(rows, arrays)
 
 
-def _kinds(task: TaskName, lams: Iterable[float]) -> dict[str, Balance | SwingUp]:
-    """Return the kinds of starts of a task, by the name of what is measured on each."""
+def _kinds(task: TaskName, lams: Iterable[float], rig: Rig) -> dict[str, Balance | SwingUp]:
+    """Return the kinds of starts of a task on a rig, by the name of what is measured on each."""
     if task == "balance":
         return {SAVED[lam]: Balance(lam=lam, steps=300) for lam in lams}
     spreads = {start: 0.0 if start == "anywhere" else 0.1 for start in UP}
-    return {UP[start]: SwingUp(start=start, angle_spread=spread, steps=500) for start, spread in spreads.items()}
+    steps = round(10 / rig.sample_time)
+    return {UP[start]: SwingUp(start=start, angle_spread=spread, steps=steps) for start, spread in spreads.items()}
 
 
-def _usual(task: TaskName) -> Balance | SwingUp:
+def _usual(task: TaskName, rig: Rig) -> Balance | SwingUp:
     """Return the task on which force and time are measured."""
-    return next(iter(_kinds(task, SHOWN).values()))
+    return next(iter(_kinds(task, SHOWN, rig).values()))
 
 
-def _starts(task: Balance | SwingUp, n: int, seed: int) -> Array:
-    return task.starts(np.random.default_rng([seed, _STREAM]), n, RIG)
+def _starts(task: Balance | SwingUp, n: int, seed: int, rig: Rig) -> Array:
+    return task.starts(np.random.default_rng([seed, _STREAM]), n, rig)
 
 
-def _simulate(job: Job, controller: dpend.Controller, task: Balance | SwingUp, rig: dpend.Rig = RIG) -> dpend.Runs:
-    starts = _starts(task, job.drawn, job.seed)[job.first : job.first + job.runs]
-    return dpend.simulate_many(rig, controller, starts, task=task, seed=job.seed, first_row=job.first)
+def _simulate(job: Job, controller: dpend.Controller, task: Balance | SwingUp, rig: Rig | None = None) -> dpend.Runs:
+    """Return the runs of a job on its rig, or on another that its controller knows nothing of."""
+    starts = _starts(task, job.drawn, job.seed, job.rig)[job.first : job.first + job.runs]
+    return dpend.simulate_many(rig or job.rig, controller, starts, task=task, seed=job.seed, first_row=job.first)
 
 
 def _runs(job: Job, contender: Contender) -> Values:
     """Return success while balancing, or the time when both links were up for good; and what the force was like."""
-    kinds = _kinds(job.task, job.lams)
-    runs = {what: _simulate(job, contender.make(RIG, task), task) for what, task in kinds.items()}
+    kinds = _kinds(job.task, job.lams, job.rig)
+    runs = {what: _simulate(job, made(contender, job.elsewhere, task), task) for what, task in kinds.items()}
     if job.task == "swing-up":
         return {what: each.time_up for what, each in runs.items()} | _forces(next(iter(runs.values())))
-    noisy, task = replace(job, runs=min(job.runs, _NOISY - job.first)), _usual("balance")
+    noisy, task = replace(job, runs=min(job.runs, _NOISY - job.first)), _usual("balance", job.rig)
     saved: dict[str, npt.NDArray[Any]] = {what: each.success for what, each in runs.items()}
     if noisy.runs <= 0:
         return saved
-    return saved | _forces(_simulate(noisy, contender.make(RIG, task), task, RIG.replace(sensor_noise=_NOISE)))
+    controller = made(contender, job.elsewhere, task)
+    return saved | _forces(_simulate(noisy, controller, task, job.rig.replace(sensor_noise=_NOISE)))
 
 
 def _forces(runs: dpend.Runs) -> dict[str, npt.NDArray[Any]]:
@@ -175,43 +187,44 @@ def _forces(runs: dpend.Runs) -> dict[str, npt.NDArray[Any]]:
 
 
 def _robustness(job: Job, contender: Contender) -> Values:
-    return measure(contender.make(RIG, _usual(job.task)), job.task, job.runs, seed=job.seed)
+    controller = made(contender, job.elsewhere, _usual(job.task, job.rig))
+    return measure(controller, job.task, job.runs, seed=job.seed, rig=job.rig)
 
 
 def _steps(job: Job, contender: Contender) -> Values:
     """Time the steps of single runs, in turn with LQR's so that both have the same load, and of 1000 side by side."""
-    task, of_lqr = _usual(job.task), _usual("balance")
-    controller, lqr = contender.make(RIG, task), find("LQR").make(RIG, of_lqr)
-    starts, beside = (_starts(each, _TURNS, job.seed)[:, None] for each in (task, of_lqr))
+    rig, task, of_lqr = job.rig, _usual(job.task, job.rig), _usual("balance", job.rig)
+    controller, lqr = made(contender, job.elsewhere, task), find("LQR").make(rig, of_lqr)
+    starts, beside = (_starts(each, _TURNS, job.seed, rig)[:, None] for each in (task, of_lqr))
     with undisturbed():
-        _step(lqr, beside[0], of_lqr)  # warms up
-        turns = [(_step(lqr, beside[k], of_lqr), _step(controller, starts[k], task)) for k in range(_TURNS)]
-        many = [_step(controller, _starts(task, 1000, job.seed), task)] if is_batched(controller) else []
+        _step(rig, lqr, beside[0], of_lqr)  # warms up
+        turns = [(_step(rig, lqr, beside[k], of_lqr), _step(rig, controller, starts[k], task)) for k in range(_TURNS)]
+        many = [_step(rig, controller, _starts(task, 1000, job.seed, rig), task)] if is_batched(controller) else []
     its, own = zip(*turns, strict=True)
     return {"step, s": own, "step of LQR, s": its} | ({"step of 1000, s": many} if many else {})
 
 
-def _step(controller: dpend.Controller, x0: Array, task: Balance | SwingUp) -> float:
+def _step(rig: Rig, controller: dpend.Controller, x0: Array, task: Balance | SwingUp) -> float:
     """Return the time of a step by the number of rows: the median of means over ten steps, the first ten left out.
 
     Some hold their force for several steps, and planners begin from nothing.
     """
-    steps = dpend.simulate_many(RIG, controller, x0, task=task).step_time[0]
+    steps = dpend.simulate_many(rig, controller, x0, task=task).step_time[0]
     return float(np.nanmedian(steps[10 : len(steps) // 10 * 10].reshape(-1, 10).mean(axis=1)))
 
 
 def _ready(job: Job, contender: Contender) -> Values:
     """Return the processor time from nothing to the first force, and the time simulated where a law was tuned."""
-    task = _usual(job.task)
-    x0 = _starts(task, 1, job.seed)
+    task = _usual(job.task, job.rig)
+    x0 = _starts(task, 1, job.seed, job.rig)
 
     def seconds() -> float:
         began = time.process_time()
-        contender.make(RIG, task).start(1, np.random.default_rng(job.seed))(0.0, x0)
+        contender.make(job.rig, task).start(1, np.random.default_rng(job.seed))(0.0, x0)
         return time.process_time() - began
 
     seconds()  # compiles
-    controller = contender.make(RIG, task)
+    controller = contender.make(job.rig, task)
     if not isinstance(controller, TunedLaw):
         return {"ready, s": [seconds()]}
     return {"ready, s": [seconds() + controller.cost.cpu_seconds], "tests, s": [controller.cost.experience]}
@@ -220,10 +233,10 @@ def _ready(job: Job, contender: Contender) -> Values:
 def _training(job: Job, contender: Contender) -> Values:
     """Train, and try the policy on the starts that count in the rank."""
     assert contender.learner is not None
-    learner = contender.learner(RIG)
+    learner = contender.learner(job.rig)
     learner.train(0, seconds=_COMPILING)
     training = learner.train([job.seed, _STREAM, job.first])
-    tried, kinds = replace(job, first=0), _kinds(job.task, [lam for lam in job.lams if lam >= SHOWN[0]])
+    tried, kinds = replace(job, first=0), _kinds(job.task, [lam for lam in job.lams if lam >= SHOWN[0]], job.rig)
     success = [float(_simulate(tried, training.policy, task).success.mean()) for task in kinds.values()]
     return _costs(training) | {"failed, %": [success[0] < GOOD], "they save, %": [np.mean(success)]}
 
@@ -253,14 +266,20 @@ WORK: Mapping[str, Callable[[Job, Contender], Values]] = {
 
 
 def best_known(table: Table) -> dict[float, npt.NDArray[np.bool_]]:
-    """Return which of the table's own starts can be saved ``(n,)``, by λ: by studies.recoverable or any contender."""
+    """Return which of the table's own starts can be saved ``(n,)``, by λ: by studies.recoverable or any contender.
+
+    On another rig than that of the comparisons studies.recoverable has not said, and nothing is returned.
+    """
+    if table.plant:
+        return {}
     runs = table.where(work="runs", task="balance")
     known: dict[float, npt.NDArray[np.bool_]] = {}
     for name in runs["contender"].unique():
         for lam, saved in outcomes_of(table, name, "balance").items():
             if lam not in known:
                 n, seed = int(np.max(runs["first"] + runs["runs"])), int(runs["seed"].to_numpy()[0])
-                known[lam] = kept_boundary().savable(_starts(Balance(lam=lam), n, seed))
+                starts = _starts(Balance(lam=lam), n, seed, table.rig)
+                known[lam] = kept_boundary().savable(starts)
             known[lam][: len(saved)] |= saved > 0
     return known
 

@@ -34,8 +34,9 @@ from rl.training import task_name
 
 from . import _field, _runner
 from ._estimates import QUARTILES, number
-from ._field import RIG, Contender, find, styles
+from ._field import Contender, find, styles
 from ._figures import Style, band, facets, legend_above, note, share_axis
+from ._plant import Plant, rig_of
 from ._runner import AtLeastTwo, Positive, Report, Result, Table
 from ._tables import Cell, Sheet, Value, sheet
 from ._trainings import RUNS, Kept, kept
@@ -94,6 +95,8 @@ def learners() -> dict[str, Contender]:
 class Options(_runner.Options):
     """Options of the command line."""
 
+    needs = ("force_limit", "ideal")
+
     trainings: Positive = 10  # Seeds of each learner that is trained here.
     starts: AtLeastTwo = 100  # Fresh starts of an evaluation at each λ.
     only: tuple[str, ...] = ()  # Names of the learners that take part, or of recipes of deep ones; left out, all.
@@ -119,27 +122,31 @@ class Job:
     seconds: float = math.inf  # greatest experience, s; infinite for the learner's own budget
     seed: int = 0
     kept: Kept | None = None
+    elsewhere: Plant | None = None
 
 
 def jobs(options: Options) -> list[Job]:
     """List the work: one job for each learner and training, and one for each deep training that is there."""
     trainings, starts, points = (1, 4, 3) if options.quick else (options.trainings, options.starts, _POINTS)
-    seconds = _QUICK if options.quick else math.inf
+    seconds, plant = _QUICK if options.quick else math.inf, options.elsewhere
 
     def asked(name: str) -> bool:
         return not options.only or name in options.only
 
     work = [
-        Job(learner=name, training=k, starts=starts, points=points, seconds=seconds, seed=options.seed)
+        Job(learner=name, training=k, starts=starts, points=points, seconds=seconds, seed=options.seed,
+            elsewhere=plant)
         for name in filter(asked, learners())
         for k in range(trainings)
-    ]
+    ]  # fmt: skip
     there = kept(options.deep)
+    if plant:
+        there = {name: each for name, each in there.items() if read_recipe(Path(each[0].place)).rig == plant.rig}
     few = slice(1 if options.quick else None)
     deep = [
         (name, each) for names in DEEP.values() for name in filter(asked, names) for each in there.get(name, [])[few]
     ]
-    return work + [Job(learner=name, training=each.seed, kept=each) for name, each in deep]
+    return work + [Job(learner=name, training=each.seed, kept=each, elsewhere=plant) for name, each in deep]
 
 
 def run(job: Job) -> Result:
@@ -156,16 +163,17 @@ def run(job: Job) -> Result:
 def _train(job: Job) -> Result:
     make = find(job.learner, known=learners().values()).learner
     assert make is not None
-    learner = make(RIG)
+    rig = rig_of(job.elsewhere)
+    learner = make(rig)
     learner.train(0, seconds=_COMPILING)
     training = learner.train([job.seed, 15, job.training], seconds=None if math.isinf(job.seconds) else job.seconds)
     balancing, curve = task_name(learner) == "balance", training.curve
-    lams, task = (LAMS, dpend.Balance()) if balancing else ((0.0,), dpend.SwingUp(steps=500))
-    starts, ways = _starts(balancing, job.starts, job.seed), training.snapshots(job.points)
-    saved = [dpend.simulate_many(RIG, way.policy, starts, task=task).success.reshape(len(lams), -1) for way in ways]
+    lams, task = (LAMS, dpend.Balance()) if balancing else ((0.0,), dpend.SwingUp(steps=round(10 / rig.sample_time)))
+    starts, ways = _starts(rig, balancing, job.starts, job.seed), training.snapshots(job.points)
+    saved = [dpend.simulate_many(rig, way.policy, starts, task=task).success.reshape(len(lams), -1) for way in ways]
     shares = dict(zip(lams, np.mean(saved, axis=2).T, strict=True))
     experience = np.array([way.experience for way in ways])
-    cpu = training.cost.cpu_seconds * experience / max(training.experience, RIG.sample_time)
+    cpu = training.cost.cpu_seconds * experience / max(training.experience, rig.sample_time)
     whole = {
         "outcome": training.outcome.name.lower().replace("_", " "), "episodes": training.cost.episodes,
         "successes": int(curve["success"].sum()) if "success" in curve else -1,
@@ -182,14 +190,14 @@ def _train(job: Job) -> Result:
     return Result([whole | _costs(lam, experience, cpu, each, 1 / job.starts) for lam, each in shares.items()], arrays)
 
 
-def _starts(balancing: bool, n: int, seed: int) -> Array:
+def _starts(rig: dpend.Rig, balancing: bool, n: int, seed: int) -> Array:
     """Return the starts of an evaluation: ``n`` at each λ, or half hanging and half to the side."""
     streams = [np.random.default_rng([seed, 16]) for _ in LAMS]
     if balancing:
         tasks = [dpend.Balance(lam=lam) for lam in LAMS]
-        return np.concatenate([task.starts(rng, n, RIG) for task, rng in zip(tasks, streams, strict=True)])
+        return np.concatenate([task.starts(rng, n, rig) for task, rng in zip(tasks, streams, strict=True)])
     tasks = [dpend.SwingUp(start=start, angle_spread=0.05) for start in ("hanging", "side")]
-    return np.concatenate([task.starts(rng, n // 2, RIG) for task, rng in zip(tasks, streams, strict=True)])
+    return np.concatenate([task.starts(rng, n // 2, rig) for task, rng in zip(tasks, streams, strict=True)])
 
 
 def _read(kept: Kept) -> Result:

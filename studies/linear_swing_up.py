@@ -15,7 +15,7 @@ controller can: from the side one gain of 90 112, saturated and with angles to t
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,26 +34,26 @@ from rl.linear_q import REPORT_FORCES
 from . import _runner
 from ._estimates import QUARTILES, share
 from ._figures import COLOURS, band, facets, legend_above
+from ._plant import Plant, rig_of
 from ._runner import Positive, Report, Result, Table
 from ._tables import sheet
 
 MINUTES = 2
 
-RIG = dpend.rig("gustafsson2016")
 EPSILONS = (0.01, 0.1, 0.3)
 ALPHAS = (1e-6, 1e-5, 1e-4, 1e-3)
 FORCES = {"the report's": REPORT_FORCES, "0, ±10, ±40": (0.0, 10.0, -10.0, 40.0, -40.0), "±40": (40.0, -40.0)}
 WEIGHTS = {"zero": 0.0, "N(0, 1)": 1.0}
-FEATURES = {
+FEATURES: Mapping[str, tuple[float, ...] | None] = {
     "all 18": (1.0,) * len(TABLE1),
     "without the cart's six": tuple(0.0 if i in CART_FEATURES else 1.0 for i in range(len(TABLE1))),
-    "scaled": LinearQLearning.tuned(RIG).scales,
+    "scaled": None,
 }
+"""Scales of the features; None for those of the tuned learner."""
 
 LAWS = {"K·s": False, "sign of K·s": True}
 STATES = {"angles as they are": False, "nearest turn": True}
 STARTS = ("side", "hanging")
-FORCE = 40.0  # largest force, and that of the sign, N
 _NEAR, _STARTS_NEAR = 0.05, 16
 _ROWS = 4096
 
@@ -61,6 +61,8 @@ _ROWS = 4096
 @dataclass(frozen=True, kw_only=True)
 class Options(_runner.Options):
     """Options of the command line."""
+
+    needs = ("force_limit", "ideal")
 
     trainings: Positive = 2  # Seeds of each setting of Q-learning.
     training_episodes: Positive = 500  # Budget of each training.
@@ -86,18 +88,20 @@ class Job:
     generations: int = 0
     strategies: int = 0
     starts_near: int = 0  # fresh starts on which the best gain is tried
+    elsewhere: Plant | None = None
 
 
 class LinearLaw:
     r"""Law :math:`u = K s` or :math:`u = F\,\mathrm{sgn}(K s)` with gains ``(6,)``, or ``(n, 6)`` one a row.
 
-    ``law`` is one of :data:`LAWS`; ``state``, one of :data:`STATES`, says what :math:`s` is.
+    ``law`` is one of :data:`LAWS`; ``state``, one of :data:`STATES`, says what :math:`s` is.  The limit of both is
+    ``force``, N.
     """
 
     name = "linear law"
 
-    def __init__(self, K: Array, law: str, state: str) -> None:
-        self.K, self.sign, self.nearest = K, LAWS[law], STATES[state]
+    def __init__(self, K: Array, law: str, state: str, force: float) -> None:
+        self.K, self.sign, self.nearest, self.force = K, LAWS[law], STATES[state], force
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
@@ -105,7 +109,7 @@ class LinearLaw:
 
         def act(t: float, y: Array) -> Array:
             u = np.einsum("ij,ij->i", K, dpend.nearest_upright(y) if self.nearest else y)
-            return FORCE * np.sign(u) if self.sign else np.clip(u, -FORCE, FORCE)
+            return self.force * np.sign(u) if self.sign else np.clip(u, -self.force, self.force)
 
         return act
 
@@ -121,11 +125,12 @@ def jobs(options: Options) -> list[Job]:
     sizes = few if options.quick else (options.candidates, options.generations, options.strategies, 1000)
     named = dict(zip(("candidates", "generations", "strategies", "starts_near"), sizes, strict=True))
     search = [
-        Job(part="search", seed=options.seed, start=start, law=law, state=state, **named)
+        Job(part="search", seed=options.seed, start=start, law=law, state=state, elsewhere=options.elsewhere, **named)
         for start in STARTS for law in LAWS for state in STATES
     ]  # fmt: skip
     learning = [
-        Job(part="learning", seed=options.seed, features=each, forces=forces, trainings=trainings, budget=budget)
+        Job(part="learning", seed=options.seed, features=each, forces=forces, trainings=trainings, budget=budget,
+            elsewhere=options.elsewhere)
         for each in FEATURES for forces in FORCES
     ]  # fmt: skip
     return [*search[:1], *learning[:1]] if options.quick else [*search, *learning]
@@ -137,10 +142,11 @@ def run(job: Job) -> Result:
 
 
 def _learn(job: Job) -> Result:
-    rows, curves = [], []
+    rig, rows, curves = rig_of(job.elsewhere), [], []
+    scales = FEATURES[job.features] or LinearQLearning.tuned(rig).scales
     for epsilon, alpha, (weights, init_std) in itertools.product(EPSILONS, ALPHAS, WEIGHTS.items()):
         learner = LinearQLearning(
-            RIG, task=_task(job.start), scales=FEATURES[job.features], forces=FORCES[job.forces], epsilon=epsilon,
+            rig, task=_task(job.start), scales=scales, forces=FORCES[job.forces], epsilon=epsilon,
             alpha=alpha, init_std=init_std, max_episodes=job.budget,
         )  # fmt: skip
         for k in range(job.trainings):
@@ -149,8 +155,8 @@ def _learn(job: Job) -> Result:
             rows.append(
                 {"epsilon": epsilon, "alpha": alpha, "weights": weights, "training": k,
                  "outcome": training.outcome.name.lower().replace("_", " "), "episodes": training.cost.episodes,
-                 "successes": int((upright >= round(learner.task.hold / RIG.sample_time)).sum()),
-                 "longest": round(float(upright.max(initial=0) * RIG.sample_time), 4), "near": 0}
+                 "successes": int((upright >= round(learner.task.hold / rig.sample_time)).sum()),
+                 "longest": round(float(upright.max(initial=0) * rig.sample_time), 4), "near": 0}
             )  # fmt: skip
             if training.outcome is Outcome.BUDGET_SPENT:
                 curves.append(training.curve["reward"] / training.curve["length"])
@@ -166,21 +172,21 @@ class Score(NamedTuple):
     up: npt.NDArray[np.bool_]  # whether it ended with a second upright
 
 
-def _scores(K: Array, x0: Array, law: str, state: str, horizon: int) -> Score:
+def _scores(rig: dpend.Rig, K: Array, x0: Array, law: str, state: str, horizon: int) -> Score:
     """Roll every gain ``(n, 6)`` out from its start ``(n, 6)``."""
-    task = _task("hanging")
+    task, force = _task("hanging"), float(rig.force_limit)
     longest, final = np.zeros(len(K)), np.zeros(len(K))
     away_least, lasted = np.full(len(K), np.inf), np.zeros(len(K))
     for first in range(0, len(K), _ROWS):
         rows = np.arange(first, min(first + _ROWS, len(K)))
-        stepper = dpend.Stepper(RIG, len(rows))
+        stepper = dpend.Stepper(rig, len(rows))
         x = stepper.reset(x0[rows])
         held = np.zeros(len(rows))
-        act = LinearLaw(K[rows], law, state).start(len(rows), np.random.default_rng(0))
+        act = LinearLaw(K[rows], law, state, force).start(len(rows), np.random.default_rng(0))
         for k in range(horizon):
-            x = stepper.step(act(k * RIG.sample_time, x))
-            on = task.ended(x, RIG) == 0
-            held = np.where(task.upright(x) & on, held + RIG.sample_time, 0.0)
+            x = stepper.step(act(k * rig.sample_time, x))
+            on = task.ended(x, rig) == 0
+            held = np.where(task.upright(x) & on, held + rig.sample_time, 0.0)
             longest[rows] = np.maximum(longest[rows], held)
             final[rows] = held
             away = np.abs(dpend.wrap(x[:, 1:3])).sum(axis=1) + 0.15 * np.abs(x[:, 4:]).sum(axis=1)
@@ -190,20 +196,20 @@ def _scores(K: Array, x0: Array, law: str, state: str, horizon: int) -> Score:
                 rows, held, x = rows[on], held[on], x[on].copy()
                 if not len(rows):
                     break
-                stepper = dpend.Stepper(RIG, len(rows))
+                stepper = dpend.Stepper(rig, len(rows))
                 stepper.reset(x)
-                act = LinearLaw(K[rows], law, state).start(len(rows), np.random.default_rng(0))
+                act = LinearLaw(K[rows], law, state, force).start(len(rows), np.random.default_rng(0))
     up = final >= task.hold - 1e-9
-    stayed = np.minimum(longest, 1.0) + longest / (horizon * RIG.sample_time)
+    stayed = np.minimum(longest, 1.0) + longest / (horizon * rig.sample_time)
     return Score(np.exp(-away_least) + 0.2 * lasted + stayed + up, longest, up)
 
 
-def _holding(n: int, rng: np.random.Generator) -> Array:
+def _holding(rig: dpend.Rig, n: int, rng: np.random.Generator) -> Array:
     """Draw gains ``(n, 6)`` that hold upright, for only such a law can stay up: regulators of random weights, moved.
 
     Half of them nearly balance both angles, so that the force is not at its limit where the links lean alike.
     """
-    A, B = dpend.discretize(*dpend.linearize(RIG.params), RIG.sample_time)
+    A, B = dpend.discretize(*dpend.linearize(rig.params), rig.sample_time)
     found: list[Array] = []
     while sum(map(len, found)) < n:
         *q, r = np.exp(rng.uniform(np.log(1e-3), np.log(1e3), 7))
@@ -220,22 +226,24 @@ def _holding(n: int, rng: np.random.Generator) -> Array:
 
 def _search(job: Job) -> Result:
     law, state, candidates, generations = job.law, job.state, job.candidates, job.generations
+    rig = rig_of(job.elsewhere)
+    force = float(rig.force_limit)
     code = [list(LAWS).index(law), list(STATES).index(state), STARTS.index(job.start)]
     rng = np.random.default_rng([job.seed, 13, *code])
     exact, near = _task(job.start), _task(job.start, _NEAR)
-    at_rest = exact.starts(rng, 1, RIG)[0]
+    at_rest = exact.starts(rng, 1, rig)[0]
 
     directions = rng.standard_normal((candidates // 2, 6)) / (1.0, 1.0, 1.0, 1.0, 0.3, 0.3)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     sizes = np.exp(rng.uniform(np.log(3.0), np.log(1000.0), (len(directions), 1)))
-    gains = np.vstack([directions * sizes, _holding(candidates - len(directions), rng)])
+    gains = np.vstack([directions * sizes, _holding(rig, candidates - len(directions), rng)])
 
     def from_rest(K: Array) -> Score:
-        return _scores(K, np.tile(at_rest, (len(K), 1)), law, state, exact.steps)
+        return _scores(rig, K, np.tile(at_rest, (len(K), 1)), law, state, exact.steps)
 
     def from_near(K: Array) -> Score:
         """Score by the share of some starts near that succeed, and by what each came to."""
-        each = _scores(np.repeat(K, _STARTS_NEAR, axis=0), np.tile(around, (len(K), 1)), law, state, exact.steps)
+        each = _scores(rig, np.repeat(K, _STARTS_NEAR, axis=0), np.tile(around, (len(K), 1)), law, state, exact.steps)
         value, longest, up = (part.reshape(len(K), _STARTS_NEAR) for part in each)
         return Score(up.mean(axis=1) + 0.1 * value.mean(axis=1), longest.max(axis=1), np.asarray(up.any(axis=1)))
 
@@ -253,18 +261,18 @@ def _search(job: Job) -> Result:
         successes.append(count)
     finalists = np.vstack(pool)
     finalists = finalists[np.argsort(from_rest(finalists).value)[::-1][:64]]
-    around = near.starts(rng, _STARTS_NEAR, RIG)
+    around = near.starts(rng, _STARTS_NEAR, rig)
     if sum(successes):  # then from starts near as well, not from one alone
         begin = finalists[np.argmax(from_near(finalists).value)]
         wide, _, _ = _evolve(from_near, begin, 96, generations, rng)
         finalists = np.vstack([wide, finalists])
-        around = near.starts(rng, _STARTS_NEAR, RIG)
+        around = near.starts(rng, _STARTS_NEAR, rig)
         finalists = finalists[np.argsort(from_near(finalists).value)[::-1]]
     K, run, outcome = finalists[0], None, "not up"
     for gain in finalists:  # the widest that succeeds from rest, and does so however finely the plant is integrated
         alone, fine = (
-            dpend.simulate(RIG.replace(substeps=substeps), LinearLaw(gain, law, state), at_rest, task=exact)
-            for substeps in (RIG.substeps, 4 * RIG.substeps)
+            dpend.simulate(rig.replace(substeps=substeps), LinearLaw(gain, law, state, force), at_rest, task=exact)
+            for substeps in (rig.substeps, 4 * rig.substeps)
         )
         words = "up" if alone.success and fine.success else "up by rounding" if alone.success else "not up"
         if run is None or (words != outcome and outcome != "up" and words != "not up"):
@@ -272,8 +280,8 @@ def _search(job: Job) -> Result:
         if outcome == "up":
             break
     assert run is not None
-    starts = near.starts(np.random.default_rng([job.seed, 14]), job.starts_near, RIG)
-    saved = dpend.simulate_many(RIG, LinearLaw(K, law, state), starts, task=near).success
+    starts = near.starts(np.random.default_rng([job.seed, 14]), job.starts_near, rig)
+    saved = dpend.simulate_many(rig, LinearLaw(K, law, state, force), starts, task=near).success
     row = {"epsilon": 0.0, "alpha": 0.0, "weights": "", "training": 0, "outcome": outcome, "episodes": sum(tried),
            "successes": sum(successes), "longest": round(float(from_rest(finalists).longest.max()), 4),
            "near": int(saved.sum())}  # fmt: skip
@@ -353,7 +361,7 @@ def _overview(table: Table) -> Figure:
     for colour, row in zip(COLOURS, table.lines(part="search"), strict=False):
         words, best, angles = f"{row.law}, {row.state}", *(table.array(a, job=row.job) for a in ("scores", "angles"))
         scores.plot(np.arange(1, len(best) + 1), best, color=colour, label=f"{row.start}: {words}")
-        t = RIG.sample_time * np.arange(len(angles))
+        t = table.rig.sample_time * np.arange(len(angles))
         heights[STARTS.index(row.start)][0].plot(t, 0.5 * np.cos(angles).sum(axis=1), color=colour, lw=1, label=words)
     scores.set(xlabel="generation", ylabel="best score")
     legend_above(learning, 3, "linear Q-learning that did not overflow: median and quartiles over settings")

@@ -29,12 +29,12 @@ from rl.lspi import gain_errors
 from . import _runner
 from ._estimates import QUARTILES, mean_share
 from ._figures import Curve, band, force_traces, legend_above, log_axis, mosaic, saved_by_angle
+from ._plant import Plant, rig_of
 from ._runner import Positive, Report, Result, Table
 from ._tables import at, cell, counted, sheet
 
 MINUTES = 1
 
-RIG = dpend.rig("gustafsson2016")
 LAMS = (0.1, 0.2, 0.3, 0.4)
 CLOSE = 0.05  # a gain counts as found within this error, relative to the norm of the Riccati gain
 REFERENCE, TABLE1 = "Riccati gain", "Q-learning, Table 1"
@@ -53,6 +53,8 @@ _TRACE_SECONDS = 2.0
 class Options(_runner.Options):
     """Options of the command line."""
 
+    needs = ("force_limit", "ideal")
+
     trainings: Positive = 30  # Seeds of each learner.
     episodes: Positive = 300  # Starts on which each trained controller is evaluated at each λ.
 
@@ -65,6 +67,7 @@ class Job:
     training: int
     episodes: int
     seed: int
+    elsewhere: Plant | None = None
 
 
 def reference(rig: dpend.Rig) -> Array:
@@ -77,26 +80,31 @@ def jobs(options: Options) -> list[Job]:
     """List the work: each controller once for each part of the starts."""
     most = (2, 20) if options.quick else (options.trainings, options.episodes)
     trainings, episodes = min(options.trainings, most[0]), min(options.episodes, most[1])
-    return [Job(name, k, episodes, options.seed) for name in (*LEARNERS, REFERENCE) for k in range(trainings)]
+    return [
+        Job(name, k, episodes, options.seed, options.elsewhere)
+        for name in (*LEARNERS, REFERENCE)
+        for k in range(trainings)
+    ]
 
 
 def run(job: Job) -> Result:
     """Train where there is something to train, then balance from this training's starts at every λ."""
-    best, error, experience = reference(RIG), 0.0, 0.0
+    rig = rig_of(job.elsewhere)
+    best, error, experience = reference(rig), 0.0, 0.0
     controller: dpend.Controller = GainPolicy(best)
     arrays: dict[str, Array] = {}
     if job.controller != REFERENCE:
-        training = LEARNERS[job.controller](RIG).train([job.seed, 6, job.training])
+        training = LEARNERS[job.controller](rig).train([job.seed, 6, job.training])
         controller, experience, error = training.policy, training.experience, np.nan
         if "gains" in training.details:
             errors = gain_errors(training.details["gains"], best)
-            arrays = {"errors": errors, "experience": RIG.sample_time * training.details["samples"]}
+            arrays = {"errors": errors, "experience": rig.sample_time * training.details["samples"]}
             error = float(errors[-1])
     rows, saved, first = [], [], job.training * job.episodes
     for lam in LAMS:
         task = dpend.Balance(lam=lam)
-        starts = task.starts(np.random.default_rng([job.seed, 7]), first + job.episodes, RIG)[first:]
-        runs = dpend.simulate_many(RIG, controller, starts, task=task, seed=job.seed)
+        starts = task.starts(np.random.default_rng([job.seed, 7]), first + job.episodes, rig)[first:]
+        runs = dpend.simulate_many(rig, controller, starts, task=task, seed=job.seed)
         saved.append(runs.success)
         rows.append(
             {"lam": lam, "successes": int(runs.success.sum()), "variation": float(runs.metrics()["variation"].mean()),
@@ -104,8 +112,8 @@ def run(job: Job) -> Result:
         )  # fmt: skip
     arrays["saved"] = np.transpose(saved)
     if job.training == 0:
-        start = dpend.Balance().starts(np.random.default_rng([job.seed, 7]), 1, RIG)[0]
-        arrays["force"] = dpend.simulate(RIG, controller, start, _TRACE_SECONDS, seed=job.seed).u
+        start = dpend.Balance().starts(np.random.default_rng([job.seed, 7]), 1, rig)[0]
+        arrays["force"] = dpend.simulate(rig, controller, start, _TRACE_SECONDS, seed=job.seed).u
     return Result(rows, arrays)
 
 
@@ -164,7 +172,7 @@ def _overview(table: Table, saved: Mapping[str, Curve]) -> Figure:
     axes["errors"].set_title("median and quartiles over trainings")
     saved_by_angle(axes["success"], saved, STYLES, aside=0.016)
     axes["success"].set_xticks(LAMS)
-    force_traces(axes, traces, RIG.sample_time, _TRACE_SECONDS)
+    force_traces(axes, traces, table.rig.sample_time, _TRACE_SECONDS)
     legend_above(figure, 3)
     return figure
 

@@ -79,7 +79,7 @@ _FROZEN = {1: (_LOOKS[FROZEN][0], "o", ":"), 3: (_LOOKS[FROZEN][0], "D", "--"), 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_runner.OnRig):
+class Options(_runner.Options):
     """Options of the command line."""
 
     trainings: Positive = 60  # Seeds of each learner.

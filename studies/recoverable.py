@@ -59,7 +59,7 @@ _CHUNK, _CHECKED = 50, 0.6  # random starts a job, and their λ
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options(_runner.OnRig):
+class Options(_runner.Options):
     """Options of the command line."""
 
     rays: int = 72  # Rays once round, a multiple of 12.  Half are solved, of what is beside it fewer.

@@ -29,10 +29,24 @@ from dpend.params import Array
 
 from . import _field, _perturbations, _runner
 from ._estimates import Estimate, crossing, mean_share, share, worst_cases
-from ._field import RIG, Contender, Cost, TaskName, designed_and_learned, find, longest_first, styles
+from ._field import Contender, Cost, TaskName, designed_and_learned, find, longest_first, made, styles
 from ._figures import Curve, Style, curves, facets, forest, heat_map, intervals, legend_above, share_axis
 from ._own import Own
-from ._perturbations import AXES, GROUPS, NOMINAL, PARAMETERS, SENSORS, VIEWS, Axis, of_groups, realaigym, views
+from ._perturbations import (
+    AXES,
+    GROUPS,
+    NOMINAL,
+    PARAMETERS,
+    SENSORS,
+    VIEWS,
+    Axis,
+    axes_of,
+    of_groups,
+    realaigym,
+    sensors_of,
+    views,
+)
+from ._plant import Plant, rig_of
 from ._runner import AtLeastTwo, Report, Result, Table, where
 from ._tables import Cell, Sheet, cell, sheet
 
@@ -87,38 +101,41 @@ class Job:
     plants: int = 0
     seed: int
     own: Own | None
+    elsewhere: Plant | None = None
 
 
 def jobs(options: Options) -> list[Job]:
     """List the work, what takes longest first."""
-    found, sensors = [], [(axis.name, view) for axis in SENSORS for view in views(axis)]
+    found, viewed = [], [(axis.name, view) for axis in SENSORS for view in views(axis)]
     for task in TASKS:
         for contender in options.contenders(task):
             starts = options.starts_of(contender)
-            job = partial(Job, contender=contender.name, task=task, seed=options.seed, own=contender.own)
+            job = partial(Job, contender=contender.name, task=task, seed=options.seed, own=contender.own,
+                          elsewhere=options.elsewhere)  # fmt: skip
             found += [job(part="axes", axis=axis.name, starts=starts) for axis in (NOMINAL, *AXES)]
             found += [job(part="plants", starts=_STARTS_A_PLANT, plants=options.plants_of(contender))]
             if contender.cost is Cost.CHEAP or contender.own or options.all:
                 few = -(-starts // 10) if contender.cost is Cost.CHEAP else starts
-                found += [job(part="sensors", axis=axis, view=view, starts=few) for axis, view in sensors]
+                found += [job(part="sensors", axis=axis, view=view, starts=few) for axis, view in viewed]
     order = {each.name: k for k, each in enumerate(longest_first(options.known))}
     return sorted(found, key=lambda job: order.get(job.contender, 0))
 
 
 def run(job: Job) -> Result:
     """Evaluate; a row a level or plant, and which starts succeeded at each, ``(starts, levels)``."""
-    task = _perturbations.task_of(job.task)
-    controller = find(job.contender, job.own).make(RIG, task)
+    rig = rig_of(job.elsewhere)
+    task = _perturbations.task_of(job.task, rig=rig)
+    controller = made(find(job.contender, job.own), job.elsewhere, task)
     if job.part == "plants":
         levels: Sequence[float] = range(job.plants)
-        outcomes = _perturbations.evaluate_on_plants(controller, task, job.plants, job.starts, job.seed).T
+        outcomes = _perturbations.evaluate_on_plants(controller, task, job.plants, job.starts, job.seed, rig).T
     elif job.part == "axes":
-        axis = next(axis for axis in (NOMINAL, *AXES) if axis.name == job.axis)
-        levels, outcomes = axis.levels, _perturbations.evaluate(controller, task, axis, job.starts, job.seed)
+        axis = next(axis for axis in (NOMINAL, *axes_of(rig)) if axis.name == job.axis)
+        levels, outcomes = axis.levels, _perturbations.evaluate(controller, task, axis, job.starts, job.seed, rig)
     else:
-        axis = next(axis for axis in SENSORS if axis.name == job.axis)
+        axis = next(axis for axis in sensors_of(rig) if axis.name == job.axis)
         levels = axis.levels
-        outcomes = _perturbations.evaluate_with_sensors(controller, task, axis, job.view, job.starts, job.seed)
+        outcomes = _perturbations.evaluate_with_sensors(controller, task, axis, job.view, job.starts, job.seed, rig)
     rows = [
         {"level": float(f"{level:.6g}"), "runs": len(of), "successes": int(of.sum())}
         for level, of in zip(levels, outcomes.T, strict=True)
@@ -241,7 +258,7 @@ def _plot_axes(table: Table, task: TaskName) -> Figure:
     looks = _present(table, task)
     sides = designed_and_learned(looks)
     figure, axes = facets(len(GROUPS), len(sides), height=9.2, width=7.0, sharey=True, sharex="row")
-    words = {axis.group: axis.words for axis in AXES} | {"model": "error of one parameter, eight pooled"}
+    words = {axis.group: axis.words for axis in axes_of(table.rig)} | {"model": "error of one parameter, eight pooled"}
     for group, row in zip(GROUPS, axes, strict=True):
         of_group = (NOMINAL.name, *(PARAMETERS if group == "model" else (group,)))
         for side, axis in zip(sides, row, strict=True):
@@ -293,12 +310,13 @@ def _plot_sensors(table: Table) -> Figure:
     The levels of noise and of encoders stand side by side.
     """
     shown = [(part[0], task) for task in TASKS for part in designed_and_learned(_present(table, task, "sensors"))]
-    noise, encoders, *_ = SENSORS
+    sensors = sensors_of(table.rig)
+    noise, encoders, *_ = sensors
     named = {noise: [f"{each:g}" for each in noise.levels], encoders: [f"{1 / each:.0f}" for each in encoders.levels]}
     rows = len(shown)
-    figure, axes = facets(rows, len(SENSORS), height=0.9 + 1.45 * rows, width=7.0, sharey=True, sharex="col")
+    figure, axes = facets(rows, len(sensors), height=0.9 + 1.45 * rows, width=7.0, sharey=True, sharex="col")
     for (name, task), row in zip(shown, axes, strict=True):
-        for of, axis in zip(SENSORS, row, strict=True):
+        for of, axis in zip(sensors, row, strict=True):
             for view in views(of):
                 curve = _shares(table, (of.name,), contender=name, task=task, part="sensors", view=view)
                 aside = 0.05 * (list(VIEWS).index(view) - 2) * (0.2 if of.name == "lag" else 1)
@@ -309,7 +327,7 @@ def _plot_sensors(table: Table) -> Figure:
             share_axis(axis)
             axis.set_yticks((0, 0.5, 1))
         row[0].set_ylabel(f"{name},\n{task}")
-    for of, axis in zip(SENSORS, axes[-1], strict=True):
+    for of, axis in zip(sensors, axes[-1], strict=True):
         axis.set_xlabel(of.words.replace(" (", "\n("))
     legend_above(figure, len(VIEWS))
     return figure
@@ -334,7 +352,7 @@ def _level(found: Estimate, form: str, most: float, before: str = "") -> Cell:
 
 
 def _breaks(table: Table) -> Sheet:
-    lines, others = [], [axis for axis in AXES if axis.group != "model"]
+    lines, others = [], [axis for axis in axes_of(table.rig) if axis.group != "model"]
     for name, task in _each(table):
         outcomes = outcomes_of(table, name, task)
         parameter, sign, least = weakest(outcomes)

@@ -20,6 +20,7 @@ from controllers import LQR, SDRE
 from . import _runner
 from ._estimates import share
 from ._figures import curves, facets, palette, share_axis
+from ._plant import Plant, rig_of
 from ._runner import Positive, Report, Result, Table
 from ._tables import sheet
 
@@ -31,6 +32,8 @@ PLANTS = {
     "bogdanov2004, Q = I": ("bogdanov2004", (1.0, 1.0, 1.0, 1.0, 1.0, 1.0), 1.0),
     "bogdanov2004, his weights": ("bogdanov2004", (5.0, 50.0, 50.0, 20.0, 700.0, 700.0), 1.0),
 }
+ELSEWHERE = {"Q = I": PLANTS["gustafsson2016, Q = I"], "stiffer": PLANTS["gustafsson2016, stiffer"]}
+"""What is tried on another rig in the place of these."""
 LAWS = {"LQR": LQR, "SDRE": SDRE}
 
 
@@ -55,18 +58,23 @@ class Job:
     lam: float
     episodes: int
     seed: int
+    elsewhere: Plant | None = None
 
 
 def jobs(options: Options) -> list[Job]:
     """List the work: one job for each plant and λ."""
     lams, episodes = (options.lam[len(options.lam) // 2 :][:2], 5) if options.quick else (options.lam, options.episodes)
-    return [Job(plant, lam, min(options.episodes, episodes), options.seed) for plant in PLANTS for lam in lams]
+    return [
+        Job(plant, lam, min(options.episodes, episodes), options.seed, options.elsewhere)
+        for plant in (ELSEWHERE if options.elsewhere else PLANTS)
+        for lam in lams
+    ]
 
 
 def run(job: Job) -> Result:
     """Let both laws balance the same starts."""
-    name, Q, R = PLANTS[job.plant]
-    rig = dpend.rig(name)
+    name, Q, R = (PLANTS | ELSEWHERE)[job.plant]
+    rig = rig_of(job.elsewhere) if job.elsewhere else dpend.rig(name)
     task = dpend.Balance(lam=job.lam)
     starts = task.starts(np.random.default_rng([job.seed, 7]), job.episodes, rig)
     rows = []
@@ -81,8 +89,9 @@ def report(table: Table) -> Report:
     """Draw the share saved against λ, with 95 % intervals."""
     saved = {(row.plant, row.law, row.lam): share(row.successes, row.episodes) for row in table.lines()}
     lams = sorted(set(table.rows["lam"]))
-    figure, axes = facets(1, len(PLANTS), height=2.8, width=9.0, sharey=True)
-    for axis, plant in zip(axes[0], PLANTS, strict=True):
+    plants = dict.fromkeys(table.rows["plant"])
+    figure, axes = facets(1, len(plants), height=2.8, width=9.0, sharey=True)
+    for axis, plant in zip(axes[0], plants, strict=True):
         curves(axis, {law: {lam: saved[plant, law, lam] for lam in lams} for law in LAWS}, palette(LAWS))
         axis.set_title(plant)
         axis.set_xlabel("λ, rad")
@@ -90,7 +99,7 @@ def report(table: Table) -> Report:
     axes[0, 0].legend()
     lines = [
         {"plant": plant, "law": law} | {f"λ = {lam:g}, %": saved[plant, law, lam] for lam in lams}
-        for plant in PLANTS
+        for plant in plants
         for law in LAWS
     ]
     return Report(figures=figure, tables=[sheet("Starts saved, with 95 % intervals", lines)])

@@ -38,9 +38,10 @@ from rl.deep import read_recipe
 
 from . import _field, _runner
 from ._estimates import Estimate, mean_share, median, share
-from ._field import CONTENDERS, RIG, Cost, TaskName, find, longest_first, styles
+from ._field import CONTENDERS, Cost, TaskName, find, longest_first, made, styles
 from ._figures import Style, facets, force_trace, intervals, legend_above, log_axis, mosaic, scatter, share_axis, strip
 from ._own import Own
+from ._plant import Plant, rig_of
 from ._runner import AtLeastTwo, Report, Result, Table
 from ._tables import Sheet, Value, sheet
 from ._trainings import RUNS, Kept, kept
@@ -72,17 +73,17 @@ class Device(NamedTuple):
     parameter: str
     settings: tuple[float, ...]
     contenders: tuple[str, ...]
-    apply: Callable[[dpend.Controller, float], dpend.Controller]
+    apply: Callable[[dpend.Rig, dpend.Controller, float], dpend.Controller]
 
 
 _WRAPPED = ("LQR", "sign of stiff LQR", "Q tuned")
 DEVICES = {
     "rate limit": Device("rate limit (N/s)", (100.0, 200.0, 400.0, 800.0, 1600.0, 3200.0), _WRAPPED,
-                         lambda controller, rate: RateLimit(RIG, controller, rate)),
+                         lambda rig, controller, rate: RateLimit(rig, controller, rate)),
     "low-pass": Device("low-pass corner (Hz)", (2.0, 4.0, 8.0, 16.0, 32.0), _WRAPPED,
-                       lambda controller, corner: LowPass(RIG, controller, frequency=corner)),
+                       lambda rig, controller, corner: LowPass(rig, controller, frequency=corner)),
     "Δu cost": Device("weight of (Δu)² in NMPC (N⁻²)", (0.1, 1.0, 10.0), ("NMPC",),
-                      lambda _, weight: NMPC(RIG, rate_weight=weight)),
+                      lambda rig, _, weight: NMPC(rig, rate_weight=weight)),
 }  # fmt: skip
 """Devices that are applied to a controller; the others are learned with it."""
 
@@ -119,6 +120,7 @@ class Job:
     training: int = 0  # Seed of a deep training.
     own: Own | None = None
     kept: Kept | None = None
+    elsewhere: Plant | None = None
 
 
 class Smoothed(NamedTuple):
@@ -129,16 +131,16 @@ class Smoothed(NamedTuple):
     trainings: list[Kept]
 
 
-def trainings(runs: Path) -> dict[str, Smoothed]:
+def trainings(runs: Path, rig: dpend.Rig) -> dict[str, Smoothed]:
     """Return the trainings in a folder that differ in what makes their force smooth and in nothing else, by recipe.
 
-    They are those of the swing-up on our plant of which a smooth and a plain one are there; they may have ended after
+    They are those of the swing-up on a rig of which a smooth and a plain one are there; they may have ended after
     different experience.
     """
     alike: dict[str, dict[str, Smoothed]] = {}
     for name, found in kept(runs).items():
         recipe = read_recipe(Path(found[0].place))
-        if recipe.env or recipe.task != "swing-up" or recipe.rig != RIG:
+        if recipe.env or recipe.task != "swing-up" or recipe.rig != rig:
             continue
         record = recipe.to_dict()
         aside = ("caps", "action_rate", "sensor_noise", "steps", "enough", "evaluate_every")
@@ -155,9 +157,12 @@ def trainings(runs: Path) -> dict[str, Smoothed]:
 def jobs(options: Options) -> list[Job]:
     """List the work, what takes long first: contenders, with the devices, and deep trainings; if quick, few of each."""
     n, few = (2, slice(-1, None)) if options.quick else (options.starts, slice(None))
+    rig, plant = options.plant.rig, options.elsewhere
 
     def both(task: str, **what: Any) -> list[Job]:
-        return [Job(task=task, condition=c, steps=TASKS[task].steps, seed=options.seed, **what) for c in CONDITIONS]
+        steps = _steps(task, rig)
+        return [Job(task=task, condition=c, steps=steps, seed=options.seed, elsewhere=plant, **what)
+                for c in CONDITIONS]  # fmt: skip
 
     found = []
     for task, name in NAMES.items():
@@ -170,12 +175,17 @@ def jobs(options: Options) -> list[Job]:
                 if contender.name in wrapped or (contender.own and wrapped == _WRAPPED):
                     for setting in settings[few]:
                         found += both(task, device=device, setting=setting, **what)
-    for name, (device, strength, each) in ({} if options.only else trainings(options.runs)).items():
+    for name, (device, strength, each) in ({} if options.only else trainings(options.runs, rig)).items():
         for task, one in itertools.product(("balance 0.1", "swing-up"), each[few]):
             what = {"contender": name, "starts": n, "training": one.seed, "kept": one}
             found += both(task, device=device, setting=strength, **what)
     order = {contender.name: k for k, contender in enumerate(longest_first(CONTENDERS))}
     return sorted(found, key=lambda job: order.get(job.contender, len(order)))
+
+
+def _steps(task: str, rig: dpend.Rig) -> int:
+    """Return the samples of a task: 300 while balancing, 10 s of a swing-up."""
+    return TASKS[task].steps if NAMES[task] == "balance" else round(10 / rig.sample_time)
 
 
 class Measured(NamedTuple):
@@ -191,15 +201,16 @@ class Measured(NamedTuple):
 @cache
 def measured(job: Job) -> Measured:
     """Return the runs of one job."""
-    task = replace(TASKS[job.task], steps=job.steps)
-    starts = task.starts(np.random.default_rng([job.seed, 21]), job.starts, RIG)
-    controller = job.kept.read().policy if job.kept else find(job.contender, job.own).make(RIG, task)
+    rig, task = rig_of(job.elsewhere), replace(TASKS[job.task], steps=job.steps)
+    starts = task.starts(np.random.default_rng([job.seed, 21]), job.starts, rig)
+    policy = job.kept.read().policy if job.kept else None
+    controller = policy or made(find(job.contender, job.own), job.elsewhere, task)
     if job.device in DEVICES:
-        controller = DEVICES[job.device].apply(controller, job.setting)
-    true = RIG.replace(sensor_noise=CONDITIONS[job.condition])
+        controller = DEVICES[job.device].apply(rig, controller, job.setting)
+    true = rig.replace(sensor_noise=CONDITIONS[job.condition])
     runs = dpend.simulate_many(true, controller, starts, task=task, seed=job.seed)
     values, saved = runs.metrics() | runs.smoothness(), runs.u[runs.success]
-    frequency, density = power_spectrum(saved, RIG.sample_time, RIG.force_limit)
+    frequency, density = power_spectrum(saved, rig.sample_time, rig.force_limit)
     mean = density.mean(axis=0) if len(saved) else np.full(len(frequency), np.nan)
     return Measured(runs.success, {name: values[name] for name in METRICS}, runs.u[0, : runs.steps[0]], frequency, mean)
 
@@ -310,7 +321,7 @@ def _forces(table: Table, looks: Mapping[str, Style], task: str, seconds: float)
     rows = max(len(forces), 1)
     figure, axes = facets(rows, 2, height=0.95 * rows + 0.75, sharex="col", sharey="col", width_ratios=(1.1, 1.0))
     for (left, right), (name, (force,)) in zip(axes, forces.items(), strict=False):
-        force_trace(left, force, RIG.sample_time, seconds, looks[name][0], name)
+        force_trace(left, force, table.rig.sample_time, seconds, looks[name][0], name)
         if name != REFERENCES[task]:
             _spectrum(right, table, REFERENCES[task], "perfect", of, color="#AAAAAA", lw=0.8)
         for condition, line in _LINES.items():

@@ -34,9 +34,10 @@ from dpend.params import Array
 
 from . import _field, _runner
 from ._estimates import Estimate, share
-from ._field import CONTENDERS, Contender, Cost, designed_and_learned, find, longest_first, styles
+from ._field import CONTENDERS, Contender, Cost, designed_and_learned, find, longest_first, made, styles
 from ._figures import Style, curves, facets, force_trace, forest, heat_map, legend_above, note, share_axis
 from ._own import Own
+from ._plant import DEFAULT_RIG, Plant, rig_of
 from ._runner import Positive, Report, Result, Table
 from ._step_times import StepTimes, undisturbed
 from ._tables import Cell, Sheet, sheet
@@ -56,8 +57,7 @@ KNOWN = (
 )  # fmt: skip
 """Those that can take part; the last in this study only."""
 
-PLANT = "gustafsson2016"
-PRESETS = tuple(name for name in dpend.rigs() if name != PLANT)
+PRESETS = tuple(name for name in dpend.rigs() if name != DEFAULT_RIG)
 STARTS = {"hanging": "from hanging", "side": "from (π/2, π/2)"}
 ERRORS = (0.07, 0.1, 0.15)
 HORIZON, HORIZONS = 10.0, (5.0, 10.0, 15.0, 20.0, 30.0)
@@ -113,7 +113,7 @@ class Job:
     own: Own | None = None
     start: str = "hanging"
     target: str = "up-up"
-    rig: str = PLANT
+    rig: str = DEFAULT_RIG  # A preset, where there is no plant elsewhere.
     seconds: float = 10.0
     angle_spread: float = 0.1  # Each angle of a start is moved by as much, rad.
     plant_error: float = 0.0  # Masses and lengths are wrong by up to this share.
@@ -121,9 +121,10 @@ class Job:
     first: int = 0  # The first of the case's runs.
     runs: int
     seed: int
+    elsewhere: Plant | None = None
 
 
-NOMINAL = {name: getattr(Job, name) for name in ("target", "rig", "angle_spread", "plant_error", "encoders")}
+NOMINAL = {name: getattr(Job, name) for name in ("target", "angle_spread", "plant_error", "encoders")}
 """The condition of the first comparison, in which steps are timed one run after the other."""
 
 
@@ -133,7 +134,9 @@ def jobs(options: Options) -> list[Job]:
     runs, transfer_runs, preset_runs = (1, 1, 1) if quick else each
     for contender in longest_first(options.contenders("swing-up")):
         name = contender.name
-        nominal = Job(contender=name, own=contender.own, runs=runs, seed=options.seed)
+        plant = options.elsewhere
+        nominal = Job(contender=name, own=contender.own, runs=runs, seed=options.seed, elsewhere=plant,
+                      rig=plant.name if plant else DEFAULT_RIG)  # fmt: skip
         slow, few = contender.cost is Cost.EXPENSIVE, contender.cost.runs(runs)
         for start, changes in itertools.product(STARTS, CONDITIONS.values()):
             wrong = "plant_error" in changes
@@ -146,30 +149,34 @@ def jobs(options: Options) -> list[Job]:
                 seconds = HORIZON if slow or not wrong else HORIZONS[-1]
                 cases.append(replace(nominal, start=start, seconds=seconds, runs=few, **changes))
         moves = name in MOVERS or (options.all and name == "NMPC")
+        moves &= not (plant and name == "TVLQR")  # whose trajectories of transfers are shipped
         for start, target in TRANSFERS[: 1 if quick else None] if moves else ():
             cases.append(replace(nominal, start=start, target=target, seconds=6.0, runs=transfer_runs))
-        if (moves or contender.own) and not quick:
+        if (moves or contender.own) and not quick and not plant:
             cases += [replace(nominal, rig=rig, seconds=20.0, runs=preset_runs) for rig in PRESETS]
     chunks = [(case, first) for case in cases for first in range(0, case.runs, _CHUNK)]
     return [replace(case, first=first, runs=min(_CHUNK, case.runs - first)) for case, first in chunks]
 
 
-def task_of(case: Any) -> dpend.SwingUp:
-    """Return the task of a job, or of a line of the table."""
-    steps = round(case.seconds / dpend.rig(case.rig).sample_time)
+def task_of(case: Any, rig: dpend.Rig) -> dpend.SwingUp:
+    """Return the task of a job, or of a line of the table, on its rig."""
+    steps = round(case.seconds / rig.sample_time)
     return dpend.SwingUp(start=case.start, target=case.target, angle_spread=case.angle_spread, steps=steps)
 
 
 def run(job: Job) -> Result:
     """Run one controller from some starts of one case; it may refuse a preset."""
-    rig, task = dpend.rig(job.rig), task_of(job)
+    own = job.elsewhere is not None or job.rig == DEFAULT_RIG  # else it is on another preset
+    rig = rig_of(job.elsewhere) if own else dpend.rig(job.rig)
+    task = task_of(job, rig)
     mine = slice(job.first, job.first + job.runs)
     starts = task.starts(np.random.default_rng([job.seed, 1]), mine.stop, rig)[mine]
-    timed = job.start in STARTS and all(getattr(job, name) == value for name, value in NOMINAL.items())
+    timed = own and job.start in STARTS and all(getattr(job, name) == value for name, value in NOMINAL.items())
     try:
-        controller = find(job.contender, job.own, KNOWN).make(rig, task)
+        contender = find(job.contender, job.own, KNOWN)
+        controller = made(contender, job.elsewhere, task) if own else contender.make(rig, task)
     except ValueError:
-        if job.rig == PLANT:
+        if own:
             raise
         return Result([{"refused": True, "timed": timed, "successes": 0}])
     true = rig
@@ -220,9 +227,14 @@ _FORMS = {heading: form for heading, (_, form) in _MEDIANS.items()}
 
 def runs_of(table: Table, contender: str, **fields: Any) -> Runs:
     """Return the runs of one case, nominal in what is not given."""
-    chosen = NOMINAL | {"contender": contender} | fields
+    chosen = NOMINAL | {"contender": contender, "rig": _own_rig(table)} | fields
     kept = {name: table.arrays(name, **chosen) for name in ("success", "left", "given", *METRICS)}
     return {name: np.concatenate([np.empty(0), *parts]) for name, parts in kept.items()}
+
+
+def _own_rig(table: Table) -> str:
+    """Return the name of the rig on which all but the runs on presets are."""
+    return table.plant.name if table.plant else DEFAULT_RIG
 
 
 def up(runs: Runs, horizon: float | None = None) -> Estimate:
@@ -265,7 +277,7 @@ def report(table: Table) -> Report:
     looks, rows = styles(table.rows["contender"], KNOWN), table.rows
     movers, elsewhere = (
         [name for name in looks if name in set(rows["contender"][of.to_numpy()])]
-        for of in (rows["start"].isin(dpend.EQUILIBRIA), rows["rig"] != PLANT)
+        for of in (rows["start"].isin(dpend.EQUILIBRIA), rows["rig"] != _own_rig(table))
     )
     swings, conditions, horizons, failed = [], [], [], []
     for name, start in itertools.product(looks, STARTS):
@@ -326,7 +338,7 @@ def _step_tables(table: Table, names: Iterable[str]) -> tuple[Sheet, Sheet]:
 
 def _first_swing(table: Table, line: Any, after: float = np.inf, otherwise: float = np.inf) -> dpend.Run:
     """Return a first nominal run from hanging: until some seconds after it was up, or the first where it never was."""
-    rig, runs = dpend.rig(PLANT), runs_of(table, line.contender, start="hanging")
+    rig, runs = table.rig, runs_of(table, line.contender, start="hanging")
     x, u = (table.array(each, contender=line.contender) for each in ("x", "u"))
     success, time_up = bool(runs["success"][0]), float(runs["time_up"][0])
     lasted = rig.sample_time * np.isfinite(u).sum()
@@ -334,7 +346,7 @@ def _first_swing(table: Table, line: Any, after: float = np.inf, otherwise: floa
     return dpend.Run(
         t=rig.sample_time * np.arange(n + 1, dtype=np.float64), x=x[: n + 1], y=x[: n + 1], u=u[:n],
         step_time=np.full(n, np.nan), status=dpend.Status.FULL_LENGTH, success=success, time_up=time_up,
-        rig=rig, controller=line.contender, task=repr(task_of(line)), seed=line.seed,
+        rig=rig, controller=line.contender, task=repr(task_of(line, rig)), seed=line.seed,
     )  # fmt: skip
 
 

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 from rl import GaussianQAC
 from rl.natural_qac import ablations
 from studies import gaussian_qac
-from studies.gaussian_qac import LONG, REGULATOR, RIG, STEPS, TUNED, VARIANCES, VARIANTS, Options
+from studies._field import RIG
+from studies.gaussian_qac import LONG, REGULATOR, STEPS, TUNED, VARIANCES, VARIANTS, Options
 
 
 def test_the_jobs_try_every_setting_of_the_ranges_and_every_deviation():

@@ -161,7 +161,7 @@ def test_all_contenders_have_the_same_starts_and_the_slow_the_first_of_them(monk
     seen = []
     monkeypatch.setattr(leaderboard.dpend, "simulate_many", lambda rig, law, x0, **how: seen.append(x0))
     for job in runs:
-        for task in leaderboard._kinds("swing-up", ()).values():
+        for task in leaderboard._kinds("swing-up", (), RIG).values():
             leaderboard._simulate(job, find("LQR").make(RIG, task), task)
     for first, second, every in zip(*(seen[k : k + 3] for k in (0, 3, 6)), strict=True):
         assert (np.concatenate([first, second]) == every[:40]).all()
@@ -222,7 +222,7 @@ def test_best_known_are_the_tables_own_starts_within_the_boundary_and_those_that
     made = balancing(a={0.4: [0] * 40, 0.6: [0] * 40}, b={0.4: [0] * 8, 0.6: [1] * 8})
     known = leaderboard.best_known(Table(made.rows.assign(seed=3, first=0, runs=40), by_job=made.by_job))
     for lam, some in ((0.4, 0), (0.6, 8)):
-        starts = dpend.Balance(lam=lam).starts(np.random.default_rng([3, leaderboard._STREAM]), 40, leaderboard.RIG)
+        starts = dpend.Balance(lam=lam).starts(np.random.default_rng([3, leaderboard._STREAM]), 40, RIG)
         inside = kept_boundary().savable(starts)
         assert not inside.all()
         assert known[lam].tolist() == (inside | (np.arange(40) < some)).tolist()

@@ -31,11 +31,11 @@ RIG = dpend.rig("gustafsson2016")
 @pytest.mark.parametrize("law", LAWS)
 def test_a_roll_out_counts_as_the_simulation_does(law):
     rng = np.random.default_rng(0)
-    K = np.vstack([_holding(8, rng), 30 * rng.normal(size=(20, 6))])
+    K = np.vstack([_holding(RIG, 8, rng), 30 * rng.normal(size=(20, 6))])
     task = dpend.SwingUp(start="up-up", angle_spread=0.02, steps=100)
     starts = task.starts(rng, len(K), RIG)
-    scores, longest, up = _scores(K, starts, law, "nearest turn", 100)
-    runs = dpend.simulate_many(RIG, LinearLaw(K, law, "nearest turn"), starts, task=task, record=True)
+    scores, longest, up = _scores(RIG, K, starts, law, "nearest turn", 100)
+    runs = dpend.simulate_many(RIG, LinearLaw(K, law, "nearest turn", 40.0), starts, task=task, record=True)
     assert (up == runs.success).all()
     assert up.any()
     assert not up.all()
@@ -63,15 +63,15 @@ def test_the_law_is_linear_or_its_sign_and_one_gain_serves_all_rows_or_one():
     K, y = 20 * rng.normal(size=(5, 6)), 3 * rng.normal(size=(5, 6))
     linear, sign = LAWS
     as_they_are, nearest = STATES
-    u = LinearLaw(K, linear, as_they_are).start(5, rng)(0.0, y)
+    u = LinearLaw(K, linear, as_they_are, 40.0).start(5, rng)(0.0, y)
     assert_allclose(u, np.clip((K * y).sum(axis=1), -40, 40))
-    u = LinearLaw(K[0], sign, nearest).start(5, rng)(0.0, y)
+    u = LinearLaw(K[0], sign, nearest, 40.0).start(5, rng)(0.0, y)
     assert_allclose(u, 40 * np.sign(dpend.nearest_upright(y) @ K[0]))
 
 
 def test_drawn_gains_hold_upright():
     A, B = dpend.discretize(*dpend.linearize(RIG.params), RIG.sample_time)
-    gains = _holding(50, np.random.default_rng(3))
+    gains = _holding(RIG, 50, np.random.default_rng(3))
     assert gains.shape == (50, 6)
     for K in gains:
         assert np.abs(np.linalg.eigvals(A + B @ K[None])).max() < 1

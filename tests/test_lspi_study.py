@@ -10,9 +10,10 @@ from numpy.testing import assert_allclose
 import dpend
 from rl import LSPI
 from studies import lspi
+from studies._field import RIG
 from studies._runner import Table, plain_fields
 from studies._tables import markdown
-from studies.lspi import LAMS, REFERENCE, RIG, STYLES, Job
+from studies.lspi import LAMS, REFERENCE, STYLES, Job
 
 
 def test_the_riccati_gain_is_greedy_for_the_discounted_cost_that_it_has():

@@ -18,7 +18,7 @@ from rl import Cost, GainPolicy, Learner, Outcome, Training
 from rl.training import Progress, Seed
 from studies import _board, _field, _runner, lambda_sweep, leaderboard, learning_curves
 from studies._board import ranked, values_of
-from studies._field import CONTENDERS, Contender, PriorKnowledge
+from studies._field import CONTENDERS, RIG, Contender, PriorKnowledge
 from studies._runner import Table
 
 TASK = dpend.Balance(lam=0.1)
@@ -76,7 +76,7 @@ class CrossEntropy:
 
 @cache
 def learned() -> GainPolicy:
-    return CrossEntropy(leaderboard.RIG).train(0).policy
+    return CrossEntropy(RIG).train(0).policy
 
 
 ENTRY = Contender(
@@ -94,7 +94,7 @@ def quick(study: str, out: Path) -> Table:
 
 
 def test_it_is_a_learner_as_any() -> None:
-    assert isinstance(CrossEntropy(leaderboard.RIG), Learner)
+    assert isinstance(CrossEntropy(RIG), Learner)
 
 
 def test_the_leaderboard_trains_it_and_ranks_its_policy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

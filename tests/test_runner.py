@@ -12,7 +12,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
 
@@ -273,10 +273,10 @@ def test_a_kept_table_from_before_keys_were_kept_serves_nothing(kept, tmp_path):
 
 def test_a_rig_and_its_changes_are_part_of_the_work_and_a_column_of_the_table():
     command = ["--rig", "pilco2011", "--set", "mass1=.6", "--set", "actuator_delay=2"]
-    plant = tyro.cli(_runner.OnRig, args=command).plant
+    plant = tyro.cli(_runner.Options, args=command).plant
     assert plant.rig == dpend.rig("pilco2011").replace(mass1=0.6, actuator_delay=2)
     assert _runner.plain_fields(Holding(plant)) == {"value": "pilco2011, mass1=.6, actuator_delay=2"}
-    keys = {_runner.key("tests.study_example", Holding(_runner.OnRig(set=(change,)).plant))
+    keys = {_runner.key("tests.study_example", Holding(_runner.Options(set=(change,)).plant))
             for change in ("mass1=.5", "mass1=.6", "mass1=.60001")}  # fmt: skip
     assert len(keys) == 3
 
@@ -294,7 +294,7 @@ def test_a_rig_and_its_changes_are_part_of_the_work_and_a_column_of_the_table():
 )  # fmt: skip
 def test_what_is_no_rig_is_refused(options, message):
     with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
-        _runner.OnRig(**options)
+        _runner.Options(**options)
 
 
 # ------------------------------------------------------------------------------------- results neither stale nor lost
@@ -526,8 +526,28 @@ def test_the_help_of_a_study_begins_with_its_question_and_method_alone(capsys):
         _runner.main("studies.lambda_sweep", ["--help"])
     said = capsys.readouterr().out
     assert "How do controllers and learners compare" in said
-    assert "Method: " in said
+    assert "Method: " not in said
     assert "Finding: " not in said
+    assert "python -m pydoc studies.lambda_sweep" in said
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_every_study_takes_a_rig_and_its_help_fits_a_screen(name, capsys):
+    study = importlib.import_module(name)
+    with pytest.raises(SystemExit, match="0"):
+        _runner.main(name, ["--help"])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
+    for each in fields(study.Options):
+        text = next(line for line in lines if line.startswith(f"  --{each.name.replace('_', '-')} "))
+        assert len(text) > 24, "each says what it is"
+    if name != "studies.deep_swing_up":  # which has trainings on one rig alone
+        changed = study.Options(set=("mass1=.6",), quick=True, workers=1)
+        plain = study.Options(quick=True, workers=1)
+        assert plain.elsewhere is None
+        assert changed.plant.rig.params.mass1 == 0.6
+        assert not {*study.jobs(changed)} & {*study.jobs(plain)} or name == "studies.published_q"
 
 
 @pytest.mark.parametrize(

@@ -164,14 +164,14 @@ def test_trainings_that_differ_in_smoothing_alone_are_found_and_no_others(tmp_pa
         load_policy("ppo-swing-up").save(folder / "policy.npz")
         deep._write_curve(folder / "curve.csv", [Evaluation(1000, 0.0, 0.0, 0.0, 1.0, 1.0)])
         (folder / "recipe.json").write_text(json.dumps({"recipe": recipe.to_dict()}))
-    found = smoothness.trainings(tmp_path)
+    found = smoothness.trainings(tmp_path, RIG)
     assert {name: (each.device, each.strength) for name, each in found.items()} == {
         "ppo": ("plain", 0.0),
         "ppo-caps": ("CAPS", 0.3),
         "ppo-both": ("action rate, noise", 0.1),
     }
     assert [training.seed for training in found["ppo"].trainings] == [3]
-    assert smoothness.trainings(tmp_path / "none") == {}
+    assert smoothness.trainings(tmp_path / "none", RIG) == {}
 
 
 def test_too_few_starts_are_refused():
