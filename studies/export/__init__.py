@@ -31,7 +31,7 @@ from .._field import CONTENDERS
 from .._own import load_own
 from .laws import OWN, NotExportable, law_of
 
-__all__ = ["NotExportable", "controller_named", "export", "files", "vector"]
+__all__ = ["NotExportable", "controller_named", "export", "files", "module", "vector"]
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _SECONDS = 6.0
@@ -113,15 +113,24 @@ def vector(controller: Controller, rig: Rig) -> Array:
     return np.array(rows)
 
 
-def files(controller: Controller, rig: Rig, to: str, real: str = "double") -> dict[str, str]:
-    """Return what :func:`export` writes: texts by the names of their files."""
-    law, rows, limit = law_of(controller, rig), vector(controller, rig), float(rig.force_limit)
+def module(controller: Controller, rig: Rig) -> str:
+    """Return a control law alone as an ES module, ``law.mjs``.
+
+    Raises
+    ------
+    NotExportable
+        If the law is no formula; the message says why.
+    """
+    return _filled(_FILES["js"][0], _words(controller, rig, "js"), "js", "double")
+
+
+def _words(controller: Controller, rig: Rig, to: str) -> dict[str, str]:
+    """Return what stands in a law's files, but for what a comparison with Python takes."""
+    law, limit = law_of(controller, rig), float(rig.force_limit)
     memory = [0.0] * OWN + list(law.memory)
-    scale = limit if math.isfinite(limit) else float(np.abs(rows[:, -1]).max())
-    words = {
+    return {
         "name": name_of(controller),
         "about": _about(controller, rig, len(memory), to),
-        "allowed": (1e-9 if real == "double" else 1e-3) * scale,
         "tables": "\n".join(_table(name, values, to) for name, values in law.tables.items()),
         "memory": "".join(f"    m[{i}] = {number(each)};\n" for i, each in enumerate(memory) if each),
         "lines": textwrap.indent("\n".join(law.lines), "    "),
@@ -130,11 +139,20 @@ def files(controller: Controller, rig: Rig, to: str, real: str = "double") -> di
         else "",
         "rint": RINT if any("rint(" in line for line in law.lines) else "",
     }
-    texts = {
-        name: Template((_TEMPLATES / to / name).read_text(encoding="utf-8")).substitute(words) for name in _FILES[to]
-    }
+
+
+def _filled(name: str, words: dict[str, str], to: str, real: str) -> str:
+    text = Template((_TEMPLATES / to / name).read_text(encoding="utf-8")).substitute(words)
+    return text if name == "README.md" else translated(text, to, real)
+
+
+def files(controller: Controller, rig: Rig, to: str, real: str = "double") -> dict[str, str]:
+    """Return what :func:`export` writes: texts by the names of their files."""
+    words, rows, limit = _words(controller, rig, to), vector(controller, rig), float(rig.force_limit)
+    scale = limit if math.isfinite(limit) else float(np.abs(rows[:, -1]).max())
+    words["allowed"] = str((1e-9 if real == "double" else 1e-3) * scale)
     return {
-        **{name: text if name == "README.md" else translated(text, to, real) for name, text in texts.items()},
+        **{name: _filled(name, words, to, real) for name in _FILES[to]},
         "plant.h" if to == "c" else "plant.mjs": plant(to, rig, real=real),
         "vector.csv": "".join(f"{int(run)},{','.join(map(repr, row))}\n" for run, *row in rows.tolist()),
     }
