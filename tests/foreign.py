@@ -45,3 +45,10 @@ def run(command: list[str], numbers: Array) -> Array:
     done = subprocess.run(command, input=np.ascontiguousarray(numbers).tobytes(), capture_output=True, check=False)
     assert done.returncode == 0, done.stderr.decode()
     return np.frombuffer(done.stdout)
+
+
+def output(command: list[str]) -> str:
+    """Return the text that a program writes."""
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
