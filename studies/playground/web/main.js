@@ -13,6 +13,8 @@ import { TabSource } from "./tab.js";
 const find = (id) => document.getElementById(id);
 const SPEEDS = [[1, "real time"], [0.5, "half"], [0.25, "a quarter"], [0.1, "a tenth"], [0.05, "a twentieth"]];
 const PART_KEYS = { 1: 0, 2: 1, 3: 2 };
+const GENTLE = [1, 0.05, 0.02]; // a link falls where a cart would hardly be moved
+const FULL = 60; // pixels that a pointer pulls for a push of full strength
 const MOST_BEHIND = 8; // samples asked for at once, after which time is let go
 
 class Page {
@@ -214,8 +216,13 @@ class Page {
         this.labels();
     }
 
+    /** Return how strong a push on a part is: N on the cart, on a link N m by key and N by pointer. */
+    strengthOn(part) {
+        return Number(find("strength").value) * GENTLE[part];
+    }
+
     said() {
-        find("strength-out").textContent = `${find("strength").value} ${find("part").value === "0" ? "N" : "N m"}`;
+        find("strength-out").textContent = `${+this.strengthOn(find("part").value).toFixed(2)} ${find("part").value === "0" ? "N" : "N m"}`;
     }
 
     labels() {
@@ -241,7 +248,7 @@ class Page {
     press(sign) {
         this.tap = 0;
         this.push = [0, 0, 0];
-        this.push[Number(find("part").value)] = sign * Number(find("strength").value);
+        this.push[find("part").value] = sign * this.strengthOn(find("part").value);
     }
 
     nudge(sign) {
@@ -366,7 +373,7 @@ class Page {
 
     /** Push where the pointer pulls: the force at the point touched, as generalised forces that both pendulums get. */
     pull() {
-        const { part, along, view, from, to } = this.drag, strength = Number(find("strength").value) / 60;
+        const { part, along, view, from, to } = this.drag, strength = this.strengthOn(part) / FULL;
         const [fx, fy] = [(to.x - from.x) * strength, -(to.y - from.y) * strength], [, th1, th2] = view.lane.states;
         const torque = (length, th) => length * (fx * Math.cos(th) - fy * Math.sin(th));
         this.tap = 0;
