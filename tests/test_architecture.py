@@ -225,6 +225,8 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "distributed": ("studies/_runner.py",),
     "gymnasium": ("dpend/__init__.py", "dpend/env.py", "dpend/vector_env.py", "rl/*", "studies/*"),
     "pandas": ("studies/*",),
+    "starlette": ("studies/playground/server.py",),
+    "uvicorn": ("studies/playground/server.py",),
 }
 
 

@@ -26,6 +26,7 @@ from dpend.rig import Rig
 from studies._boundary import kept_boundary
 from studies._field import CONTENDERS, Contender
 from studies.playground import export, scene
+from studies.playground.__main__ import main
 from studies.playground.scene import Playground, Scene, parsed
 
 RIG = dpend.rig("gustafsson2016")
@@ -281,7 +282,7 @@ def test_a_race_counts_as_the_batch_does() -> None:
     runs = dpend.simulate_many(RIG, LQR(RIG), starts)
     assert frame["lanes"][0]["codes"] == runs.codes.tolist()
     assert 0 < np.count_nonzero(runs.codes) < 40
-    assert_array_equal(np.reshape(frame["lanes"][0]["states"], (40, 6)), runs.final)
+    assert_allclose(np.reshape(frame["lanes"][0]["states"], (40, 6)), runs.final, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -359,6 +360,17 @@ def test_only_names_that_are_known_stand_for_anything() -> None:
 def test_what_is_no_json_object_of_finite_numbers_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"^A message is a JSON object"):
         parsed(text)
+
+
+def test_the_command_writes_the_page_or_says_what_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(export, "_laws", lambda: "export const LAWS = {};\n")
+    main(["--export", str(tmp_path)])
+    assert capsys.readouterr().out == f"{tmp_path / 'index.html'}\n"
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main(["--controller", "mine", "--no-browser"])
+    assert capsys.readouterr().err == "--controller must be path.py:factory or module:factory; got 'mine'.\n"
 
 
 # ----------------------------------------------------------------------------------------------------------- the server

@@ -38,6 +38,7 @@ TASKS: Mapping[str, Task] = {"balance": Balance(), "swing-up": SwingUp(), "none"
 """What ends a run and what counts as success."""
 
 MOST_COPIES = 500
+_DIGITS = 6  # of the states of many copies, which are drawn and no more
 MOST_SAMPLES = 50
 """In one advance."""
 
@@ -266,7 +267,8 @@ class Lane:
 
     def frame(self) -> dict[str, Any]:
         """Return where the copies stand, which of them have ended, and why the controller failed, if it did."""
-        return {"states": self._shown.ravel().tolist(), "codes": self._codes.tolist(), "failed": self.failed}
+        shown = self._shown if len(self._shown) == 1 else self._shown.round(_DIGITS)
+        return {"states": shown.ravel().tolist(), "codes": self._codes.tolist(), "failed": self.failed}
 
     def _forces(self) -> Array:
         n = len(self._shown)

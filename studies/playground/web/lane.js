@@ -3,6 +3,7 @@ import { energies } from "./plant.js";
 import { coefficients } from "./physics.js";
 
 const MOST_SAMPLES = 60000; // 20 minutes at 50 a second; a recording ends there
+const KEPT = 8; // samples between which pictures are drawn
 const UPRIGHT = 0.2; // rad, as dpend.SwingUp has it
 
 /** Return an angle less its whole turns. */
@@ -13,7 +14,8 @@ export class LaneRecord {
         Object.assign(this, { look, t: [0], x: [Array.from(states.subarray(0, 6))], u: [], pushes: [], share: [1] });
         this.energy = [];
         this.jumps = this.switches = this.saturated = this.effort = this.upSince = 0;
-        this.lastSign = 0;
+        this.lastSign = this.k = 0;
+        this.past = [];
         this.ms = null;
         this.use(rig);
         this.energy.push(this.energyOf(this.x[0]));
@@ -42,8 +44,8 @@ export class LaneRecord {
     }
 
     take(states, codes, failed) {
-        this.before = this.states ?? Float64Array.from(states);
         this.states = Float64Array.from(states);
+        this.past = [...this.past.filter(({ k }) => k < this.k).slice(-KEPT), { k: this.k, states: this.states }];
         this.codes = Array.from(codes);
         this.failed = failed;
     }
@@ -52,6 +54,7 @@ export class LaneRecord {
     extend(said, n, push) {
         const h = this.rig.sample_time, limit = this.rig.force_limit ?? Infinity, scale = this.rig.force_limit ?? 1;
         const standing = said.codes.filter((code) => !code).length / said.codes.length;
+        this.k += n;
         if (!this.single) for (let k = 0; k < n; k++) this.share.push(standing);
         for (let k = 0; k < said.u.length && this.u.length < MOST_SAMPLES; k++) {
             const now = this.single ? said.x[k] : Array.from(said.states.slice(0, 6));
@@ -73,6 +76,14 @@ export class LaneRecord {
         }
         this.ms = said.ms;
         this.take(said.states, said.codes, said.failed);
+    }
+
+    /** Return where the copies stood at a time, between two samples. */
+    at(time) {
+        const at = time / this.rig.sample_time, later = this.past.find(({ k }) => k >= at) ?? this.past[this.past.length - 1];
+        const before = this.past[this.past.indexOf(later) - 1] ?? later;
+        const part = later.k > before.k ? Math.max(0, (later.k - at) / (later.k - before.k)) : 0;
+        return part > 0 ? later.states.map((last, i) => last - Math.min(part, 1) * (last - before.states[i])) : later.states;
     }
 
     get ended() {

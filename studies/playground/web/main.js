@@ -24,7 +24,8 @@ class Page {
         this.running = !matchMedia("(prefers-reduced-motion: reduce)").matches;
         this.push = [0, 0, 0];
         this.lanes = [];
-        this.k = 0; // samples that the source has moved on
+        this.k = 0; // samples that the curves show
+        this.earlier = 0; // and those before, which only the source counts
         this.clock = 0; // s, what is shown
         this.asking = false;
         this.frames = this.pictures = 0;
@@ -57,7 +58,7 @@ class Page {
     /** Begin the scene anew. */
     begin() {
         const states = startStates(this.scene), rig = this.rig;
-        this.k = this.clock = 0;
+        this.k = this.clock = this.earlier = 0;
         this.lanes = this.names.map((name) => new LaneRecord(lookOf(name), states, rig));
         this.describe();
     }
@@ -85,7 +86,7 @@ class Page {
                 const waiting = setTimeout(() => this.notice("Getting ready. The first time a planner is used it is compiled, which takes up to half a minute.", true), 1500);
                 try {
                     const { rig, task, changes, seed } = this.scene;
-                    const message = { rig, task, changes, controllers: lanes.map((lane) => lane.name), seed, k: this.k, states: lanes.map((lane) => lane.states) };
+                    const message = { rig, task, changes, controllers: lanes.map((lane) => lane.name), seed, k: this.earlier + this.k, states: lanes.map((lane) => lane.states) };
                     const said = await source.scene(structuredClone(message));
                     if (source !== this.source || lanes !== this.lanes) {
                         this.stale = true;
@@ -116,7 +117,8 @@ class Page {
 
     /** Ask the source for the samples that are due. */
     async advance() {
-        const h = this.rig.sample_time, due = Math.ceil((this.clock - this.k * h) / h - 1e-9);
+        const h = this.rig.sample_time, lead = this.running ? this.source.lead : 0;
+        const due = Math.ceil(this.clock / h - this.k + lead - 1e-9);
         if (due < 1 || this.asking || this.describing || !this.ready) return;
         this.asking = true;
         const { source, lanes } = this, n = Math.min(due, MOST_BEHIND), push = [...this.push];
@@ -151,17 +153,17 @@ class Page {
         const last = this.k * h;
         this.advance();
         this.clock = Math.min(this.clock, last + h); // what a slow source does not deliver is let go
-        const shown = Math.min(this.clock, last), alpha = Math.max(0, Math.min(1, 1 - (last - shown) / h));
+        const shown = Math.min(this.clock, last);
         if (shown !== this.lastShown) this.frames += 1;
         this.measure(now, seconds);
-        this.draw(shown, alpha);
+        this.draw(shown);
         this.lastShown = shown;
         requestAnimationFrame((next) => this.loop(next));
     }
 
-    draw(shown, alpha) {
+    draw(shown) {
         const { scene, lanes, drag } = this;
-        this.stage.draw({ scene, lanes, time: shown, alpha, drag: drag?.to && this.running ? drag : null });
+        this.stage.draw({ scene, lanes, time: shown, drag: drag?.to && this.running ? drag : null });
         this.gif?.take(performance.now());
         if (this.gif?.full) this.told("gif");
         if (this.pictures++ % 4 === 0) {
@@ -279,7 +281,7 @@ class Page {
         } else if (name === "speed") {
             scene.speed = value;
             history.replaceState(null, "", hashOf(scene));
-        } else if (name === "link") navigator.clipboard?.writeText(location.href);
+        } else if (name === "link") this.copy();
         else if (name === "csv-left" || name === "csv-right") this.csv(name === "csv-left" ? 0 : 1);
         else if (name === "film" || name === "gif") this.record(name);
         else {
@@ -318,9 +320,16 @@ class Page {
     /** Let all records begin now, so that their curves share a clock. */
     align() {
         this.lanes = this.lanes.map((lane) => new LaneRecord(lane.look, lane.states, this.rig));
-        this.clock -= this.k * this.rig.sample_time;
-        this.clock = Math.max(0, this.clock);
+        this.clock = Math.max(0, this.clock - this.k * this.rig.sample_time);
+        this.earlier += this.k;
         this.k = 0;
+    }
+
+    copy() {
+        const copied = navigator.clipboard?.writeText(location.href) ?? Promise.reject(new Error());
+        const show = (text) => (find("link").textContent = text);
+        copied.then(() => show("Copied"), () => show("Copy the address above"));
+        setTimeout(() => show("Copy the link"), 3000);
     }
 
     csv(i) {

@@ -2,6 +2,8 @@
 const PATIENCE = 500; // ms until the next attempt to connect
 
 export class PythonSource {
+    lead = 1; // samples asked for ahead of time, so that an answer that is late by less holds no picture up
+
     /** Connect; lost() is called when the connection is gone, back() when it is there again. */
     constructor(lost, back) {
         Object.assign(this, { lost, back, waiting: new Map(), id: 0, closed: false });

@@ -3,6 +3,7 @@ import { curve, dashesOf, frame, inkOf, rangeOf, sharp, themeOf } from "./plots.
 import { ENDS } from "./tab.js";
 import { savable } from "./scene.js";
 
+const EPISODE = 300, HOLD = 1; // samples of dpend.Balance, and seconds of dpend.SwingUp
 const TRACE = 84, HEAD = 46, GAP = 24, LEFT = 40;
 
 export class Stage {
@@ -11,12 +12,13 @@ export class Stage {
         this.views = [];
     }
 
-    /** Draw lanes at a time; alpha says how far the picture is from the sample before to the last. */
-    draw({ scene, lanes, time, alpha, drag }) {
+    /** Draw lanes as they stood at a time. */
+    draw({ scene, lanes, time, drag }) {
         const { canvas } = this, theme = themeOf(canvas), width = canvas.clientWidth;
         const beside = width >= 640 && lanes.length > 1, rows = beside ? 1 : lanes.length;
-        const picture = Math.round(Math.min(beside || lanes.length === 1 ? 340 : 230, Math.max(190, width * 0.62)));
-        const height = rows * (HEAD + picture + GAP + TRACE + 16), w = beside ? width / 2 : width;
+        const w = beside ? width / 2 : width, most = beside || lanes.length === 1 ? 380 : 260;
+        const picture = Math.min(most, Math.max(...lanes.map((lane) => neededBy(lane, scene, w))));
+        const height = rows * (HEAD + picture + GAP + TRACE + 16);
         const pen = sharp(canvas, width, height);
         pen.fillStyle = theme.paper;
         pen.fillRect(0, 0, width, height);
@@ -24,7 +26,7 @@ export class Stage {
             const box = { x: beside ? i * w : 0, y: beside ? 0 : (i * height) / rows, w, h: picture };
             const view = this.viewOf(lane, scene, { ...box, y: box.y + HEAD });
             this.heading(pen, lane, box, theme, scene);
-            this.pendulums(pen, lane, view, theme, alpha);
+            this.pendulums(pen, lane, view, theme, lane.at(time));
             this.trace(pen, lane, lanes, { x: box.x + LEFT, y: box.y + HEAD + picture + GAP, w: w - LEFT - 8, h: TRACE }, theme, time, scene);
             return view;
         });
@@ -33,9 +35,7 @@ export class Stage {
 
     /** Return how metres become pixels: the whole track, or where there is none, what is near the cart. */
     viewOf(lane, scene, box) {
-        const { length1, length2 } = lane.rig.params, reach = length1 + length2, track = lane.rig.track_limit;
-        const half = track === null ? Math.max(2.4, 1.2 * reach) : track + 0.35;
-        const low = scene.task === "balance" ? 0.35 : reach + 0.1, high = reach + 0.15;
+        const { length1, length2 } = lane.rig.params, track = lane.rig.track_limit, { half, low, high } = extentOf(lane, scene);
         const scale = Math.min((box.w - 16) / (2 * half), box.h / (low + high));
         const middle = track === null ? lane.states[0] : 0;
         return { box, scale, cx: box.x + box.w / 2 - scale * middle, cy: box.y + box.h - low * scale, track, length1, length2, lane };
@@ -59,7 +59,7 @@ export class Stage {
         pen.fillText(words, box.x + 10, box.y + 38, box.w - 20);
     }
 
-    pendulums(pen, lane, view, theme, alpha) {
+    pendulums(pen, lane, view, theme, states) {
         const { scale, cx, cy, track, box } = view;
         pen.save();
         pen.beginPath();
@@ -84,14 +84,11 @@ export class Stage {
             }
         }
         pen.stroke();
-        const n = lane.states.length / 6, many = n > 1, at = (i, j) => {
-            const last = lane.states[6 * i + j], before = lane.before[6 * i + j];
-            return last + (alpha - 1) * (last - before);
-        };
+        const n = states.length / 6, many = n > 1, at = (i, j) => states[6 * i + j];
         const colour = inkOf(lane.look, theme);
         pen.lineCap = "round";
         for (const fallen of many ? [true, false] : [Boolean(lane.codes[0])]) {
-            pen.globalAlpha = many ? (fallen ? 0.07 : Math.max(0.25, Math.min(0.8, 30 / n))) : fallen ? 0.45 : 1;
+            pen.globalAlpha = many ? (fallen ? 0.12 : Math.max(0.4, Math.min(0.8, 60 / n))) : fallen ? 0.45 : 1;
             pen.lineWidth = many ? 1.5 : 6;
             pen.strokeStyle = fallen && many ? theme.fallen : colour;
             pen.beginPath();
@@ -173,6 +170,19 @@ export class Stage {
     }
 }
 
+/** Return how far the picture reaches to either side of the middle, below and above the cart, m. */
+function extentOf(lane, scene) {
+    const { length1, length2 } = lane.rig.params, reach = length1 + length2, track = lane.rig.track_limit;
+    const half = track === null ? Math.max(2.4, 1.2 * reach) : track + 0.35;
+    return { half, low: scene.task === "balance" ? 0.35 : reach + 0.1, high: reach + 0.15 };
+}
+
+/** Return the height that a picture of some width takes, px. */
+function neededBy(lane, scene, width) {
+    const { half, low, high } = extentOf(lane, scene);
+    return Math.round(((width - 16) / (2 * half)) * (low + high));
+}
+
 /** Return how far a point is from a line between two others, and where along it the nearest point lies. */
 function foot(x, y, ax, ay, bx, by) {
     const dx = bx - ax, dy = by - ay, square = dx * dx + dy * dy || 1;
@@ -188,7 +198,11 @@ export function wordsOf(lane, scene) {
         return `${standing} of ${n} still going (${((100 * standing) / n).toFixed(1)} %)${known}`;
     }
     if (lane.codes[0]) return ENDS[lane.codes[0]];
-    const { up } = lane.figures();
-    if (scene.task === "balance") return `${lane.seconds.toFixed(1)} s on its feet`;
-    return up > 0 ? `both links up for ${up.toFixed(1)} s` : "not up yet";
+    const { up } = lane.figures(), episode = EPISODE * lane.rig.sample_time;
+    if (scene.task === "balance") {
+        const done = lane.u.length >= EPISODE ? `: success, an episode lasts ${+episode.toFixed(2)} s` : "";
+        return `${lane.seconds.toFixed(1)} s on its feet${done}`;
+    }
+    const done = up >= HOLD && scene.task === "swing-up" ? ": success" : "";
+    return up > 0 ? `both links up for ${up.toFixed(1)} s${done}` : "not up yet";
 }

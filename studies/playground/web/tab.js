@@ -58,6 +58,8 @@ class Copies {
 }
 
 export class TabSource {
+    lead = 0;
+
     constructor() {
         this.lanes = [];
     }
