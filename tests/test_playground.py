@@ -250,9 +250,18 @@ class Hanging:
         return act
 
 
+class Blinking:
+    """Returns NaN at every third sample."""
+
+    def start(self, n: int, rng: np.random.Generator) -> Any:
+        act = LQR(RIG).start(n, rng)
+        return lambda t, y: np.where(round(t / 0.02) % 3 == 1, np.nan, act(t, y))
+
+
 KNOWN = [
     *CONTENDERS,
     Contender(name="failing", make=lambda rig, task: Failing()),
+    Contender(name="blinking", make=lambda rig, task: Blinking()),
     Contender(name="hanging", make=lambda rig, task: Hanging()),
 ]
 
@@ -272,6 +281,13 @@ def test_the_playground_moves_as_simulate_does_and_both_lanes_get_one_push_and_o
     run = dpend.simulate(RIG.replace(**noisy), LQR(RIG), START, 1.0, task=None, push=lambda t: push, seed=3)
     assert_array_equal(np.concatenate([frame["lanes"][0]["x"] for frame in frames]), run.x[1:])
     assert_array_equal(np.concatenate([frame["lanes"][0]["u"] for frame in frames]), run.u)
+
+
+def test_a_force_that_is_no_number_is_the_last_one_that_was() -> None:
+    playground = Playground(KNOWN)
+    playground.answer(described("blinking"))
+    (lane,) = playground.answer({"do": "advance", "n": 50})["lanes"]
+    assert_array_equal(lane["u"], dpend.simulate(RIG, Blinking(), START, 1.0, task=None).u)
 
 
 def test_a_race_counts_as_the_batch_does() -> None:

@@ -116,6 +116,7 @@ def ran(page: Any, seconds: float) -> None:
 def test_it_swings_up(visit: Open, source: str, name: str) -> None:
     page = visit(source, f"task=swing-up&start=0,3.1416,3.1416,0,0,0&left={name.replace(' ', '+')}&right=")
     assert page.locator("#figures thead").inner_text().split("\t")[1].strip() == name
+    page.evaluate("playground.scene.speed = 3")
     until(page, "playground.lanes[0].figures().up > 1", 60)
     assert page.evaluate("playground.clock") < 6
     assert page.evaluate("playground.lanes[0].x[0][1]") == pytest.approx(np.pi)

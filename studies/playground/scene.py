@@ -244,6 +244,7 @@ class Lane:
         self._codes = self._task.ended(states, scene.true)
         if failed:
             self._codes[self._codes == 0] = Status.CONTROLLER_FAILED.code
+        self._last = np.zeros(n)
         self._limit = _FIRST
         self._park(self._codes != 0)
 
@@ -284,7 +285,9 @@ class Lane:
         except Exception as error:  # what a controller raises is its own affair
             self._fail(f"{self.name} failed: {type(error).__name__}: {error}"[:500])
             return np.zeros(n)
-        u[(self._codes != 0) | ~np.isfinite(u)] = 0.0
+        u = np.where(np.isfinite(u), u, self._last)  # as `simulate` has it
+        u[self._codes != 0] = 0.0
+        self._last = u
         return u
 
     def _fail(self, why: str) -> None:

@@ -159,7 +159,8 @@ class Server:
         print(f"{self.url}\nCtrl-C ends it.", flush=True)
         if browser:
             webbrowser.open(self.url)
-        self.serving().run(sockets=[self.listener])
+        with contextlib.suppress(KeyboardInterrupt):
+            self.serving().run(sockets=[self.listener])
 
     @asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:

@@ -9,6 +9,7 @@ export function make(tag, properties = {}, ...children) {
     return element;
 }
 
+const SAFE = Math.max(...CATALOGUE.saved.lambdas.filter((lam, i) => CATALOGUE.saved.shares[i] > 0.9999));
 const TASKS = { balance: "Balance", "swing-up": "Swing up", none: "No task" };
 const SOURCES = { python: "in Python", tab: "in this tab" };
 
@@ -26,8 +27,8 @@ export class Controls {
                 this.choice("source", "Computed", "Python runs every controller; the tab alone runs those that are formulas.")),
             this.group("Where it starts",
                 this.choice("place", "Start", "Or pause, and drag the cart and the links to where they shall begin."),
-                this.button("random", "Another random start", "Both angles at random, each up to λ from upright."),
-                this.slider("lam", "λ, the largest starting angle", "rad", 0.05, 0.8, 0.01, "Larger is harder; beyond 0.27 rad not all starts can be saved."),
+                this.button("random", "Another random start", "Both angles within λ of upright, or of hanging where the task is to swing up."),
+                this.slider("lam", "λ, the largest starting angle", "rad", 0.05, 0.8, 0.01, `Larger is harder; on ${CATALOGUE.saved.rig}, beyond ${SAFE} rad not all starts can be saved.`),
                 this.choice("copies", "Race", "Many copies from random starts, and the share that still stands.")),
             this.group("Take it home",
                 this.button("link", "Copy the link", "The address above is this scene; it is all you need to send."),

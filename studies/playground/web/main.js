@@ -28,7 +28,7 @@ class Page {
         this.earlier = 0; // and those before, which only the source counts
         this.clock = 0; // s, what is shown
         this.asking = false;
-        this.frames = this.pictures = 0;
+        this.frames = this.ticks = 0;
         this.controls = new Controls(find("controls"), find("plant"), this.scene, (name, value) => this.told(name, value));
         this.bar();
         this.pointer();
@@ -154,19 +154,22 @@ class Page {
         this.advance();
         this.clock = Math.min(this.clock, last + h); // what a slow source does not deliver is let go
         const shown = Math.min(this.clock, last);
-        if (shown !== this.lastShown) this.frames += 1;
-        this.measure(now, seconds);
-        this.draw(shown);
+        const moved = shown !== this.lastShown || Boolean(this.drag);
+        if (moved) this.frames += 1;
+        this.measure(now);
+        this.ticks += 1;
+        if (moved || this.ticks % 10 === 0) this.draw(shown, !moved || this.ticks % 4 === 0);
         this.lastShown = shown;
         requestAnimationFrame((next) => this.loop(next));
     }
 
-    draw(shown) {
+    /** Draw the stage at a time, and all that need not move with it. */
+    draw(shown, all) {
         const { scene, lanes, drag } = this;
         this.stage.draw({ scene, lanes, time: shown, drag: drag?.to && this.running ? drag : null });
         this.gif?.take(performance.now());
         if (this.gif?.full) this.told("gif");
-        if (this.pictures++ % 4 === 0) {
+        if (all) {
             if (scene.copies === 1) drawPlots(find("plots"), lanes, shown);
             find("plots").hidden = scene.copies > 1;
             showFigures(find("figures"), lanes);
