@@ -146,6 +146,19 @@ def test_a_run_in_the_tab_is_that_of_simulate_and_its_table_reads_back_equal(pag
             assert figures[name] == pytest.approx(value[0], rel=1e-12), name
 
 
+def test_two_pendulums_in_the_tab_get_the_same_noise(page: Path) -> None:
+    source = LANE.partition("const lane =")[0].replace('changes: {}, controllers: ["LQR"]', "changes, controllers")
+    source = source.replace("[x0, push] = given", "[x0, changes, controllers] = given").replace("[x0],", "[x0, x0],")
+    source += """
+    await source.scene(message);
+    console.log(JSON.stringify((await source.advance(50, [0, 0, 0])).lanes.map(({ x, u }) => ({ x, u }))));
+    """
+    noisy = {"sensor_noise": 0.01, "force_noise": 2.0, "sensor_delay": 1}
+    left, right = run(page, source, START, noisy, ["LQR", "LQR"])
+    assert left == right
+    assert left != run(page, source, START, {}, ["LQR", "LQR"])[0]
+
+
 def test_a_run_that_falls_in_the_tab_ends_at_the_same_sample_for_the_same_reason(page: Path) -> None:
     x0 = [0.0, 0.7, -0.7, 0.0, 0.0, 0.0]
     found = run(page, LANE.replace("figures: lane.figures()", "codes: lane.codes"), x0, [0.0, 0.0, 0.0])

@@ -153,6 +153,36 @@ def test_pushes_by_key_mouse_and_button_reach_both_pendulums_alike_and_both_reco
     assert np.abs(page.evaluate("playground.lanes.map((lane) => lane.x.at(-1)[1])")).max() < 0.05
 
 
+def test_a_finger_on_the_cart_pushes_it_and_beside_it_scrolls(visit: Open) -> None:
+    page = visit("tab", viewport={"width": 390, "height": 600}, has_touch=True, is_mobile=True)
+    ran(page, 0.5)
+    fingers = page.context.new_cdp_session(page)
+    box = page.locator("#stage").bounding_box()
+    x, y = page.evaluate("[playground.stage.views[0].cx, playground.stage.views[0].cy]")
+
+    def touch(kind: str, *at: float) -> None:
+        points = [{"x": box["x"] + at[0], "y": box["y"] + at[1]}] if at else []
+        fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", x, y)
+    for k in range(4):
+        touch("touchMove", x - 10 * k, y - 5 * k)
+        page.wait_for_timeout(30)
+    touch("touchEnd")
+    ran(page, 2.0)
+    left, right = map(np.array, page.evaluate("playground.lanes.map((lane) => lane.pushes)"))
+    assert left.min() < -3
+    assert_array_equal(left, right)
+    assert not left[-10:].any()
+    assert page.evaluate("scrollY") == 0
+    touch("touchStart", 20, 60)
+    for k in range(8):
+        touch("touchMove", 20, 60 - 20 * k)
+        page.wait_for_timeout(16)
+    touch("touchEnd")
+    until(page, "scrollY > 50")
+
+
 @SOURCES
 def test_controller_and_plant_change_while_it_runs_and_its_table_reads_back_equal(
     visit: Open, source: str, tmp_path: Path
@@ -175,8 +205,7 @@ def test_controller_and_plant_change_while_it_runs_and_its_table_reads_back_equa
     run = dpend.Run.from_csv(tmp_path / "left.csv", "gustafsson2016")
     assert_array_equal(run.x, page.evaluate("playground.lanes[0].x"))
     assert_array_equal(run.u, page.evaluate("playground.lanes[0].u"))
-    shown = page.locator("#figures td.variation").first.inner_text()
-    assert shown == f"{run.metrics()['variation']:.2f}"
+    page.locator("#figures td.variation", has_text=f"{run.metrics()['variation']:.2f}").first.wait_for(timeout=5000)
 
 
 @SOURCES

@@ -2,6 +2,9 @@
 import { CATALOGUE } from "./catalogue.js";
 import { offered, placeOf, SLIDERS, STARTS } from "./scene.js";
 
+/** Return the element of an id. */
+export const find = (id) => document.getElementById(id);
+
 /** Make an element. */
 export function make(tag, properties = {}, ...children) {
     const element = Object.assign(document.createElement(tag), properties);
@@ -19,27 +22,80 @@ export class Controls {
         Object.assign(this, { scene, told, inputs: {}, outputs: {} });
         for (const each of [form, plant]) each.addEventListener("submit", (event) => event.preventDefault());
         form.append(
-            this.group("Who balances what",
+            this.group(
+                "Who balances what",
                 this.choice("left", "Left pendulum", "Its controller; the line is its colour everywhere."),
-                this.choice("right", "Right pendulum", "A second controller under the same pushes and noise, or none."),
-                this.choice("task", "Task", "Balance ends when a link falls, swinging up at the track’s end only; no task just goes on."),
+                this.choice(
+                    "right",
+                    "Right pendulum",
+                    "A second controller under the same pushes and noise, or none.",
+                ),
+                this.choice(
+                    "task",
+                    "Task",
+                    "Balance ends when a link falls, swinging up at the track’s end only; no task just goes on.",
+                ),
                 this.choice("rig", "Rig", "The plant, with the masses, lengths and limits of its source."),
-                this.choice("source", "Computed", "Python runs every controller; the tab alone runs those that are formulas.")),
-            this.group("Where it starts",
-                this.choice("place", "Start", "Or pause, and drag the cart and the links to where they shall begin."),
-                this.button("random", "Another random start", "Both angles within λ of upright, or of hanging where the task is to swing up."),
-                this.slider("lam", "λ, the largest starting angle", "rad", 0.05, 0.8, 0.01, `Larger is harder; on ${CATALOGUE.saved.rig}, beyond ${SAFE} rad not all starts can be saved.`),
-                this.choice("copies", "Race", "Many copies from random starts, and the share that still stands.")),
-            this.group("Take it home",
-                this.button("link", "Copy the link", "The address above is this scene; it is all you need to send."),
-                make("div", { className: "control" },
-                    make("div", { className: "pair" }, this.press("csv-left", "Left as CSV"), this.press("csv-right", "Right as CSV")),
-                    make("small", { textContent: "Every sample since the start, as dpend.Run.from_csv reads it." })),
-                make("div", { className: "control" },
+                this.choice(
+                    "source",
+                    "Computed",
+                    "Python runs every controller; the tab alone runs those that are formulas.",
+                ),
+            ),
+            this.group(
+                "Where it starts",
+                this.choice(
+                    "place",
+                    "Start",
+                    "Or pause, and drag the cart and the links to where they shall begin.",
+                ),
+                this.button(
+                    "random",
+                    "Another random start",
+                    "Both angles within λ of upright, or of hanging where the task is to swing up.",
+                ),
+                this.slider(
+                    "lam",
+                    "λ, the largest starting angle",
+                    "rad",
+                    0.05,
+                    0.8,
+                    0.01,
+                    `Larger is harder; on ${CATALOGUE.saved.rig}, beyond ${SAFE} rad not all starts can be saved.`,
+                ),
+                this.choice("copies", "Race", "Many copies from random starts, and the share that still stands."),
+            ),
+            this.group(
+                "Take it home",
+                this.button(
+                    "link",
+                    "Copy the link",
+                    "The address above is this scene; it is all you need to send.",
+                ),
+                make(
+                    "div",
+                    { className: "control" },
+                    make(
+                        "div",
+                        { className: "pair" },
+                        this.press("csv-left", "Left as CSV"),
+                        this.press("csv-right", "Right as CSV"),
+                    ),
+                    make("small", { textContent: "Every sample since the start, as dpend.Run.from_csv reads it." }),
+                ),
+                make(
+                    "div",
+                    { className: "control" },
                     make("div", { className: "pair" }, this.press("film", "Film"), this.press("gif", "GIF")),
-                    make("small", { textContent: "Press to begin, and again to end; a GIF ends after half a minute." }))),
+                    make("small", {
+                        textContent: "Press to begin, and again to end; a GIF ends after half a minute.",
+                    }),
+                ),
+            ),
         );
-        const sliders = Object.entries(SLIDERS).map(([name, [label, ...more]]) => this.slider(name, label, ...more));
+        const sliders = Object.entries(SLIDERS).map(([name, [label, ...more]]) =>
+            this.slider(name, label, ...more),
+        );
         const restore = this.button("restore", "As the rig has it", "Undoes all changes of the plant.");
         plant.append(this.group("The plant, while it runs: no controller is told", ...sliders, restore));
         this.show();
@@ -84,7 +140,8 @@ export class Controls {
     }
 
     button(name, label, about) {
-        const button = this.press(name, label), said = make("small", { id: `${name}-about`, textContent: about });
+        const button = this.press(name, label),
+            said = make("small", { id: `${name}-about`, textContent: about });
         button.setAttribute("aria-describedby", said.id);
         return make("div", { className: "control" }, button, said);
     }
@@ -92,11 +149,14 @@ export class Controls {
     /** Show a scene as it is now. */
     show(scene = this.scene) {
         this.scene = scene;
-        const { inputs } = this, names = offered(scene);
+        const { inputs } = this,
+            names = offered(scene);
         const kinds = { designed: "Designed", learned: "Learned", own: "Your own" };
         for (const side of ["left", "right"]) {
             const groups = Object.entries(kinds).map(([kind, label]) => {
-                const options = names.filter((each) => each.kind === kind).map((each) => new Option(each.name, each.name));
+                const options = names
+                    .filter((each) => each.kind === kind)
+                    .map((each) => new Option(each.name, each.name));
                 return make("optgroup", { label }, ...options);
             });
             inputs[side].replaceChildren(...groups.filter((group) => group.children.length));
@@ -104,16 +164,34 @@ export class Controls {
             inputs[side].value = scene[side];
         }
         fill(inputs.task, Object.entries(TASKS), scene.task);
-        fill(inputs.rig, Object.keys(CATALOGUE.rigs).map((name) => [name, name]), scene.rig);
+        fill(
+            inputs.rig,
+            Object.keys(CATALOGUE.rigs).map((name) => [name, name]),
+            scene.rig,
+        );
         inputs.rig.title = CATALOGUE.rigs[scene.rig].about;
-        fill(inputs.source, Object.entries(SOURCES).filter(([name]) => CATALOGUE.python || name === "tab"), scene.source);
-        fill(inputs.place, [...Object.entries(STARTS).map(([name, [label]]) => [name, label]), ["own", "as dragged or drawn"]], placeOf(scene.start) ?? "own");
+        fill(
+            inputs.source,
+            Object.entries(SOURCES).filter(([name]) => CATALOGUE.python || name === "tab"),
+            scene.source,
+        );
+        fill(
+            inputs.place,
+            [...Object.entries(STARTS).map(([name, [label]]) => [name, label]), ["own", "as dragged or drawn"]],
+            placeOf(scene.start) ?? "own",
+        );
         const counts = [1, 100, 200, 500];
         if (!counts.includes(scene.copies)) counts.push(scene.copies);
-        fill(inputs.copies, counts.map((n) => [n, n === 1 ? "one pendulum each" : `${n} copies each`]), scene.copies);
+        fill(
+            inputs.copies,
+            counts.map((n) => [n, n === 1 ? "one pendulum each" : `${n} copies each`]),
+            scene.copies,
+        );
         this.set("lam", scene.lam);
-        const rig = CATALOGUE.rigs[scene.rig], own = { ...rig, ...rig.params };
-        for (const name of Object.keys(SLIDERS)) this.set(name, scene.changes[name] ?? own[name] ?? Number(inputs[name].max));
+        const rig = CATALOGUE.rigs[scene.rig],
+            own = { ...rig, ...rig.params };
+        for (const name of Object.keys(SLIDERS))
+            this.set(name, scene.changes[name] ?? own[name] ?? Number(inputs[name].max));
         inputs["csv-right"].disabled = !scene.right;
         inputs["csv-left"].disabled = scene.copies > 1;
         if (scene.copies > 1) inputs["csv-right"].disabled = true;
@@ -134,7 +212,13 @@ const FIGURES = [
     ["seconds", "Time", "s", 1, "How long it has lasted."],
     ["standing", "Still going", "%", 1, "Of all copies."],
     ["up", "Both links up", "s", 1, "Without a break, each within 0.2 rad."],
-    ["variation", "Changes of force", "u_max/s", 2, "All changes added up, per second, in units of the limit: small is smooth."],
+    [
+        "variation",
+        "Changes of force",
+        "u_max/s",
+        2,
+        "All changes added up, per second, in units of the limit: small is smooth.",
+    ],
     ["switches", "Switches of sign", "1/s", 1, "How often the force turns round."],
     ["saturated", "At the limit", "%", 0, "Share of the time at full force."],
     ["effort", "Effort", "N² s", 0, "The integral of the force squared."],
@@ -144,18 +228,35 @@ const FIGURES = [
 /** Show the figures of all lanes in a table. */
 export function showFigures(table, lanes) {
     const said = lanes.map((lane) => lane.figures());
-    const heading = lanes[0].single ? "So far" : "First copy of each, so far", key = [heading, ...lanes.map((lane) => lane.name)].join("|");
+    const heading = lanes[0].single ? "So far" : "First copy of each, so far",
+        key = [heading, ...lanes.map((lane) => lane.name)].join("|");
     if (table.dataset.for !== key) {
         table.dataset.for = key;
-        const heads = [make("th", { textContent: heading }), ...lanes.map((lane) => make("th", { scope: "col", textContent: lane.name }))];
-        const rows = FIGURES.map(([name, label, unit, , about]) => make("tr", {},
-            make("th", { scope: "row" }, `${label}, ${unit}`, make("small", { textContent: about, className: "soft" })),
-            ...lanes.map(() => make("td", { className: name }))));
+        const heads = [
+            make("th", { textContent: heading }),
+            ...lanes.map((lane) => make("th", { scope: "col", textContent: lane.name })),
+        ];
+        const rows = FIGURES.map(([name, label, unit, , about]) =>
+            make(
+                "tr",
+                {},
+                make(
+                    "th",
+                    { scope: "row" },
+                    `${label}, ${unit}`,
+                    make("small", { textContent: about, className: "soft" }),
+                ),
+                ...lanes.map(() => make("td", { className: name })),
+            ),
+        );
         table.replaceChildren(make("thead", {}, make("tr", {}, ...heads)), make("tbody", {}, ...rows));
     }
-    FIGURES.forEach(([name, , unit, digits], row) => said.forEach((figures, i) => {
-        const value = figures[name], text = value === null ? "–" : (unit === "%" ? 100 * value : value).toFixed(digits);
-        const cell = table.tBodies[0].rows[row].cells[i + 1];
-        if (cell.textContent !== text) cell.textContent = text;
-    }));
+    FIGURES.forEach(([name, , unit, digits], row) =>
+        said.forEach((figures, i) => {
+            const value = figures[name],
+                text = value === null ? "–" : (unit === "%" ? 100 * value : value).toFixed(digits);
+            const cell = table.tBodies[0].rows[row].cells[i + 1];
+            if (cell.textContent !== text) cell.textContent = text;
+        }),
+    );
 }

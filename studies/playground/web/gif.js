@@ -4,7 +4,8 @@ const CODES = 4096;
 
 /** Return the bytes of a GIF that repeats for ever; delay in hundredths of a second. */
 export function gifOf(frames, width, height, delay) {
-    const colours = paletteOf(frames), bytes = [];
+    const colours = paletteOf(frames),
+        bytes = [];
     const word = (value) => bytes.push(value & 255, value >> 8);
     bytes.push(...[..."GIF89a"].map((each) => each.charCodeAt(0)));
     word(width);
@@ -43,7 +44,10 @@ function paletteOf(frames) {
             else seen.set(key, { count: 1, colour: [...frames[k].subarray(at, at + 3)] });
         }
     }
-    const best = [...seen.values()].sort((a, b) => b.count - a.count).slice(0, 256).map((each) => each.colour);
+    const best = [...seen.values()]
+        .sort((a, b) => b.count - a.count)
+        .slice(0, 256)
+        .map((each) => each.colour);
     return [...best, ...Array.from({ length: 256 - best.length }, () => [0, 0, 0])];
 }
 
@@ -65,10 +69,14 @@ function indicesOf(pixels, colours, chosen) {
     return indices;
 }
 
-/** Return indices of eight bits compressed as GIF has it: codes of 9 to 12 bits, the table begun anew when it is full. */
+/** Return indices compressed as GIF has it: codes of 9 to 12 bits, the table begun anew when it is full. */
 export function compressed(indices) {
     const bytes = [];
-    let held = 0, bits = 0, size = 9, next = 258, table = new Map();
+    let held = 0,
+        bits = 0,
+        size = 9,
+        next = 258,
+        table = new Map();
     const write = (code) => {
         held |= code << bits;
         bits += size;
@@ -81,7 +89,8 @@ export function compressed(indices) {
     write(256);
     let prefix = indices[0];
     for (let i = 1; i < indices.length; i++) {
-        const key = prefix * 256 + indices[i], known = table.get(key);
+        const key = prefix * 256 + indices[i],
+            known = table.get(key);
         if (known !== undefined) {
             prefix = known;
             continue;

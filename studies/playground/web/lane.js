@@ -11,7 +11,14 @@ export const wrapped = (angle) => angle - 2 * Math.PI * Math.round(angle / (2 * 
 
 export class LaneRecord {
     constructor(look, states, rig) {
-        Object.assign(this, { look, t: [0], x: [Array.from(states.subarray(0, 6))], u: [], pushes: [], share: [1] });
+        Object.assign(this, {
+            look,
+            t: [0],
+            x: [Array.from(states.subarray(0, 6))],
+            u: [],
+            pushes: [],
+            share: [1],
+        });
         this.energy = [];
         this.jumps = this.switches = this.saturated = this.effort = this.upSince = 0;
         this.lastSign = this.k = 0;
@@ -52,13 +59,16 @@ export class LaneRecord {
 
     /** Take what a source says of n samples under a push. */
     extend(said, n, push) {
-        const h = this.rig.sample_time, limit = this.rig.force_limit ?? Infinity, scale = this.rig.force_limit ?? 1;
+        const h = this.rig.sample_time,
+            limit = this.rig.force_limit ?? Infinity,
+            scale = this.rig.force_limit ?? 1;
         const standing = said.codes.filter((code) => !code).length / said.codes.length;
         this.k += n;
         if (!this.single) for (let k = 0; k < n; k++) this.share.push(standing);
         for (let k = 0; k < said.u.length && this.u.length < MOST_SAMPLES; k++) {
             const now = this.single ? said.x[k] : Array.from(said.states.slice(0, 6));
-            const u = said.u[k], last = this.u.length ? this.u[this.u.length - 1] : u;
+            const u = said.u[k],
+                last = this.u.length ? this.u[this.u.length - 1] : u;
             this.jumps += Math.abs(u - last) / scale;
             if (u !== 0) {
                 if (Math.sign(u) === -this.lastSign) this.switches += 1;
@@ -80,10 +90,13 @@ export class LaneRecord {
 
     /** Return where the copies stood at a time, between two samples. */
     at(time) {
-        const at = time / this.rig.sample_time, later = this.past.find(({ k }) => k >= at) ?? this.past[this.past.length - 1];
+        const at = time / this.rig.sample_time,
+            later = this.past.find(({ k }) => k >= at) ?? this.past[this.past.length - 1];
         const before = this.past[this.past.indexOf(later) - 1] ?? later;
         const part = later.k > before.k ? Math.max(0, (later.k - at) / (later.k - before.k)) : 0;
-        return part > 0 ? later.states.map((last, i) => last - Math.min(part, 1) * (last - before.states[i])) : later.states;
+        return part > 0
+            ? later.states.map((last, i) => last - Math.min(part, 1) * (last - before.states[i]))
+            : later.states;
     }
 
     get ended() {
@@ -100,7 +113,8 @@ export class LaneRecord {
 
     /** Return the figures of the run so far; per second where that is said. */
     figures() {
-        const { seconds } = this, per = seconds > 0 ? 1 / seconds : 0;
+        const { seconds } = this,
+            per = seconds > 0 ? 1 / seconds : 0;
         return {
             seconds,
             standing: this.standing,

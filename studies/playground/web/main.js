@@ -1,20 +1,25 @@
 // The page's loop: it asks a source for samples as time goes by, and draws between the last two.
 import { CATALOGUE } from "./catalogue.js";
-import { Controls, showFigures } from "./controls.js";
+import { Controls, find, showFigures } from "./controls.js";
+import { Hands } from "./hands.js";
 import { LaneRecord } from "./lane.js";
 import { changedRig } from "./physics.js";
 import { drawPlots } from "./plots.js";
-import { csvOf, Film, Pictures, save } from "./record.js";
+import { copyAddress, Recorder, saveTable } from "./record.js";
 import { fitted, hashOf, sceneOf, STARTS, startStates } from "./scene.js";
 import { PythonSource } from "./socket.js";
 import { Stage, wordsOf } from "./stage.js";
 import { TabSource } from "./tab.js";
 
-const find = (id) => document.getElementById(id);
-const SPEEDS = [[1, "real time"], [0.5, "half"], [0.25, "a quarter"], [0.1, "a tenth"], [0.05, "a twentieth"]];
-const PART_KEYS = { 1: 0, 2: 1, 3: 2 };
-const GENTLE = [1, 0.05, 0.02]; // a link falls where a cart would hardly be moved
-const FULL = 60; // pixels that a pointer pulls for a push of full strength
+const SPEEDS = [
+    [1, "real time"],
+    [0.5, "half"],
+    [0.25, "a quarter"],
+    [0.1, "a tenth"],
+    [0.05, "a twentieth"],
+];
+const GETTING_READY =
+    "Getting ready. The first time a planner is used it is compiled, which takes up to half a minute.";
 const MOST_BEHIND = 8; // samples asked for at once, after which time is let go
 
 class Page {
@@ -22,17 +27,18 @@ class Page {
         this.scene = sceneOf(location.hash);
         this.stage = new Stage(find("stage"));
         this.running = !matchMedia("(prefers-reduced-motion: reduce)").matches;
-        this.push = [0, 0, 0];
         this.lanes = [];
         this.k = 0; // samples that the curves show
         this.earlier = 0; // and those before, which only the source counts
         this.clock = 0; // s, what is shown
         this.asking = false;
         this.frames = this.ticks = 0;
-        this.controls = new Controls(find("controls"), find("plant"), this.scene, (name, value) => this.told(name, value));
+        this.controls = new Controls(find("controls"), find("plant"), this.scene, (name, value) =>
+            this.told(name, value),
+        );
         this.bar();
-        this.pointer();
-        this.keys();
+        this.hands = new Hands(this, find("stage"));
+        this.recorder = new Recorder(find("stage"), (why) => this.notice(why));
         this.connect();
         addEventListener("hashchange", () => {
             if (location.hash === hashOf(this.scene)) return;
@@ -44,20 +50,24 @@ class Page {
         requestAnimationFrame((now) => this.loop(now));
     }
 
-    // ------------------------------------------------------------------------------------------------- scene and source
+    // ------------------------------------------------------------------------------------------------ scene and source
 
     connect() {
         this.source?.close();
-        this.source = this.scene.source === "tab" ? new TabSource() : new PythonSource(
-            (why) => this.notice(why, true),
-            () => this.resume(),
-        );
+        this.source =
+            this.scene.source === "tab"
+                ? new TabSource()
+                : new PythonSource(
+                      (why) => this.notice(why, true),
+                      () => this.resume(),
+                  );
         this.begin();
     }
 
     /** Begin the scene anew. */
     begin() {
-        const states = startStates(this.scene), rig = this.rig;
+        const states = startStates(this.scene),
+            rig = this.rig;
         this.k = this.clock = this.earlier = 0;
         this.lanes = this.names.map((name) => new LaneRecord(lookOf(name), states, rig));
         this.describe();
@@ -83,16 +93,33 @@ class Page {
                 while (this.asking) await new Promise((resolve) => setTimeout(resolve, 1));
                 this.stale = false;
                 const { source, lanes } = this;
-                const waiting = setTimeout(() => this.notice("Getting ready. The first time a planner is used it is compiled, which takes up to half a minute.", true), 1500);
+                const waiting = setTimeout(
+                    () =>
+                        this.notice(
+                            GETTING_READY,
+                            true,
+                        ),
+                    1500,
+                );
                 try {
                     const { rig, task, changes, seed } = this.scene;
-                    const message = { rig, task, changes, controllers: lanes.map((lane) => lane.name), seed, k: this.earlier + this.k, states: lanes.map((lane) => lane.states) };
+                    const message = {
+                        rig,
+                        task,
+                        changes,
+                        controllers: lanes.map((lane) => lane.name),
+                        seed,
+                        k: this.earlier + this.k,
+                        states: lanes.map((lane) => lane.states),
+                    };
                     const said = await source.scene(structuredClone(message));
                     if (source !== this.source || lanes !== this.lanes) {
                         this.stale = true;
                         continue;
                     }
-                    lanes.forEach((lane, i) => lane.take(said.lanes[i].states, said.lanes[i].codes, said.lanes[i].failed));
+                    lanes.forEach((lane, i) =>
+                        lane.take(said.lanes[i].states, said.lanes[i].codes, said.lanes[i].failed),
+                    );
                     this.ready = true;
                     this.notice("");
                 } catch (error) {
@@ -117,15 +144,14 @@ class Page {
 
     /** Ask the source for the samples that are due. */
     async advance() {
-        const h = this.rig.sample_time, lead = this.running ? this.source.lead : 0;
+        const h = this.rig.sample_time,
+            lead = this.running ? this.source.lead : 0;
         const due = Math.ceil(this.clock / h - this.k + lead - 1e-9);
         if (due < 1 || this.asking || this.describing || !this.ready) return;
         this.asking = true;
-        const { source, lanes } = this, n = Math.min(due, MOST_BEHIND), push = [...this.push];
-        if (this.tap) {
-            this.tap -= n;
-            if (this.tap <= 0) this.release();
-        }
+        const { source, lanes } = this,
+            n = Math.min(due, MOST_BEHIND),
+            push = this.hands.pushFor(n);
         try {
             const said = await source.advance(n, push);
             if (source !== this.source || lanes !== this.lanes) return;
@@ -144,17 +170,18 @@ class Page {
         this.pause();
     }
 
-    // ------------------------------------------------------------------------------------------------------------- loop
+    // ------------------------------------------------------------------------------------------------------------ loop
 
     loop(now) {
-        const seconds = Math.min((now - (this.before ?? now)) / 1000, 0.1), h = this.rig.sample_time;
+        const seconds = Math.min((now - (this.before ?? now)) / 1000, 0.1),
+            h = this.rig.sample_time;
         this.before = now;
         if (this.running && this.ready) this.clock += seconds * this.scene.speed;
         const last = this.k * h;
         this.advance();
         this.clock = Math.min(this.clock, last + h); // what a slow source does not deliver is let go
         const shown = Math.min(this.clock, last);
-        const moved = shown !== this.lastShown || Boolean(this.drag);
+        const moved = shown !== this.lastShown || Boolean(this.hands.drag);
         if (moved) this.frames += 1;
         this.measure(now);
         this.ticks += 1;
@@ -165,16 +192,18 @@ class Page {
 
     /** Draw the stage at a time, and all that need not move with it. */
     draw(shown, all) {
-        const { scene, lanes, drag } = this;
+        const { scene, lanes } = this,
+            { drag } = this.hands;
         this.stage.draw({ scene, lanes, time: shown, drag: drag?.to && this.running ? drag : null });
-        this.gif?.take(performance.now());
-        if (this.gif?.full) this.told("gif");
+        if (this.recorder.take()) this.told("gif");
         if (all) {
             if (scene.copies === 1) drawPlots(find("plots"), lanes, shown);
             find("plots").hidden = scene.copies > 1;
             showFigures(find("figures"), lanes);
         }
-        const words = lanes.map((lane) => `${lane.name}: ${lane.failed || (lane.codes[0] ? wordsOf(lane, scene) : "running")}`).join(" ");
+        const words = lanes
+            .map((lane) => `${lane.name}: ${lane.failed || (lane.codes[0] ? wordsOf(lane, scene) : "running")}`)
+            .join(" ");
         if (scene.copies === 1 && find("status").textContent !== words) find("status").textContent = words;
         find("stage").setAttribute("aria-label", lanes.map((lane) => lane.name).join(" beside "));
     }
@@ -186,7 +215,9 @@ class Page {
         const per = 1000 / (now - from.now);
         this.fps = (this.frames - from.frames) * per;
         const pace = Math.max(0, this.k - from.k) * this.rig.sample_time * per;
-        find("rate").textContent = this.running ? `${this.fps.toFixed(0)} pictures/s, ${pace.toFixed(2)} × real time` : "";
+        find("rate").textContent = this.running
+            ? `${this.fps.toFixed(0)} pictures/s, ${pace.toFixed(2)} × real time`
+            : "";
         this.since = { now, frames: this.frames, k: this.k };
     }
 
@@ -196,47 +227,31 @@ class Page {
         find("notice").dataset.passing = passing;
     }
 
-    // --------------------------------------------------------------------------------------------------------- controls
+    // -------------------------------------------------------------------------------------------------------- controls
 
     bar() {
         find("speed").append(...SPEEDS.map(([value, label]) => new Option(label, value)));
-        if (!SPEEDS.some(([value]) => value === this.scene.speed)) find("speed").append(new Option(`× ${this.scene.speed}`, this.scene.speed));
+        if (!SPEEDS.some(([value]) => value === this.scene.speed))
+            find("speed").append(new Option(`× ${this.scene.speed}`, this.scene.speed));
         find("speed").value = this.scene.speed;
         find("speed").addEventListener("change", (event) => this.told("speed", Number(event.target.value)));
-        find("play").addEventListener("click", () => (this.running ? this.pause() : this.play()));
+        find("play").addEventListener("click", () => this.turn());
         find("step").addEventListener("click", () => this.single());
         find("restart").addEventListener("click", () => this.begin());
-        find("part").addEventListener("change", () => this.said());
-        find("strength").addEventListener("input", () => this.said());
-        for (const [id, sign] of [["push-left", -1], ["push-right", 1]]) {
-            const button = find(id);
-            button.addEventListener("pointerdown", (event) => {
-                button.setPointerCapture(event.pointerId);
-                this.press(sign);
-            });
-            for (const end of ["pointerup", "pointercancel"]) button.addEventListener(end, () => this.release());
-            button.addEventListener("click", (event) => event.detail === 0 && this.nudge(sign)); // by a key
-        }
-        this.said();
         this.labels();
-    }
-
-    /** Return how strong a push on a part is: N on the cart, on a link N m by key and N by pointer. */
-    strengthOn(part) {
-        return Number(find("strength").value) * GENTLE[part];
-    }
-
-    said() {
-        find("strength-out").textContent = `${+this.strengthOn(find("part").value).toFixed(2)} ${find("part").value === "0" ? "N" : "N m"}`;
     }
 
     labels() {
         find("play").textContent = this.running ? "Pause" : "Go on";
     }
 
-    play() {
-        this.running = true;
-        this.labels();
+    /** Go on, or pause. */
+    turn() {
+        if (this.running) this.pause();
+        else {
+            this.running = true;
+            this.labels();
+        }
     }
 
     pause() {
@@ -250,25 +265,9 @@ class Page {
         this.clock = (this.k + 1) * this.rig.sample_time;
     }
 
-    press(sign) {
-        this.tap = 0;
-        this.push = [0, 0, 0];
-        this.push[find("part").value] = sign * this.strengthOn(find("part").value);
-    }
-
-    nudge(sign) {
-        this.press(sign);
-        this.tap = Math.max(1, Math.round(0.2 / this.rig.sample_time));
-    }
-
-    release() {
-        this.tap = 0;
-        this.push = [0, 0, 0];
-    }
-
     told(name, value) {
         const { scene } = this;
-        if (name in scene.changes || this.controls.outputs[name] && name !== "lam") {
+        if (name in scene.changes || (this.controls.outputs[name] && name !== "lam")) {
             scene.changes[name] = value;
             for (const lane of this.lanes) lane.use(this.rig);
             this.describe();
@@ -284,15 +283,19 @@ class Page {
         } else if (name === "speed") {
             scene.speed = value;
             history.replaceState(null, "", hashOf(scene));
-        } else if (name === "link") this.copy();
-        else if (name === "csv-left" || name === "csv-right") this.csv(name === "csv-left" ? 0 : 1);
-        else if (name === "film" || name === "gif") this.record(name);
+        } else if (name === "link") copyAddress(find("link"));
+        else if (name === "csv-left" || name === "csv-right") saveTable(this.lanes[name === "csv-left" ? 0 : 1]);
+        else if (name === "film" || name === "gif") this.recorder.turn(name, find(name));
         else {
             if (name === "restore") scene.changes = {};
             if (name === "place" && value in STARTS) scene.start = [...STARTS[value][1]];
             if (name === "copies") scene.copies = Number(value);
             if (name === "rig") Object.assign(scene, { rig: value, changes: {} });
-            if (name === "task") Object.assign(scene, { task: value, start: [...STARTS[value === "swing-up" ? "hanging" : "near"][1]] });
+            if (name === "task")
+                Object.assign(scene, {
+                    task: value,
+                    start: [...STARTS[value === "swing-up" ? "hanging" : "near"][1]],
+                });
             if (name === "random") this.drawLots();
             fitted(scene);
             this.begin();
@@ -300,15 +303,24 @@ class Page {
     }
 
     drawLots() {
-        const { scene } = this, middle = scene.task === "swing-up" ? Math.PI : 0;
+        const { scene } = this,
+            middle = scene.task === "swing-up" ? Math.PI : 0;
         const angle = () => middle + scene.lam * (2 * Math.random() - 1);
         scene.start = [0, angle(), angle(), 0, 0, 0].map((each) => +each.toFixed(4));
         scene.seed = Math.floor(1e6 * Math.random());
     }
 
+    /** Begin anew from a state. */
+    startAt(x) {
+        this.scene.start = x.map((each) => +each.toFixed(4));
+        this.begin();
+    }
+
     /** Put another controller in charge of a pendulum that goes on from where it stands, if it still does. */
     exchange(side, name) {
-        const i = side === "left" ? 0 : 1, had = this.lanes[i], states = had?.states ?? this.lanes[0].states;
+        const i = side === "left" ? 0 : 1,
+            had = this.lanes[i],
+            states = had?.states ?? this.lanes[0].states;
         this.scene[side] = name;
         if (!name) this.lanes = this.lanes.slice(0, 1);
         else if (had?.ended || this.lanes[0].ended) return this.begin();
@@ -326,105 +338,6 @@ class Page {
         this.clock = Math.max(0, this.clock - this.k * this.rig.sample_time);
         this.earlier += this.k;
         this.k = 0;
-    }
-
-    copy() {
-        const copied = navigator.clipboard?.writeText(location.href) ?? Promise.reject(new Error());
-        const show = (text) => (find("link").textContent = text);
-        copied.then(() => show("Copied"), () => show("Copy the address above"));
-        setTimeout(() => show("Copy the link"), 3000);
-    }
-
-    csv(i) {
-        const lane = this.lanes[i];
-        if (lane) save(`${lane.name.replace(/\W+/g, "-")}.csv`, new Blob([csvOf(lane)], { type: "text/csv" }));
-    }
-
-    record(kind) {
-        const button = find(kind);
-        try {
-            if (this[kind]) {
-                this[kind].stop();
-                this[kind] = null;
-            } else this[kind] = new (kind === "film" ? Film : Pictures)(find("stage"));
-        } catch (error) {
-            this.notice(error.message);
-        }
-        button.setAttribute("aria-pressed", Boolean(this[kind]));
-        button.textContent = this[kind] ? "End it" : kind === "film" ? "Film" : "GIF";
-    }
-
-    // -------------------------------------------------------------------------------------------------- pointer and keys
-
-    pointer() {
-        const canvas = find("stage"), at = (event) => ({ x: event.offsetX, y: event.offsetY });
-        const reach = (event) => (event.pointerType === "mouse" ? 22 : 34);
-        canvas.addEventListener("touchstart", (event) => {
-            const box = canvas.getBoundingClientRect(), touch = event.touches[0];
-            if (this.stage.touched(touch.clientX - box.x, touch.clientY - box.y, 34)) event.preventDefault(); // no scrolling then
-        }, { passive: false });
-        canvas.addEventListener("pointerdown", (event) => {
-            const from = at(event), found = this.stage.touched(from.x, from.y, reach(event));
-            if (!found) return;
-            canvas.setPointerCapture(event.pointerId);
-            this.drag = { ...found, from, to: from };
-        });
-        canvas.addEventListener("pointermove", (event) => {
-            if (!this.drag) return;
-            this.drag.to = at(event);
-            if (this.running) this.pull();
-            else if (this.scene.copies === 1) this.place();
-        });
-        for (const end of ["pointerup", "pointercancel"]) {
-            canvas.addEventListener(end, () => {
-                this.drag = null;
-                this.release();
-            });
-        }
-    }
-
-    /** Push where the pointer pulls: the force at the point touched, as generalised forces that both pendulums get. */
-    pull() {
-        const { part, along, view, from, to } = this.drag, strength = this.strengthOn(part) / FULL;
-        const [fx, fy] = [(to.x - from.x) * strength, -(to.y - from.y) * strength], [, th1, th2] = view.lane.states;
-        const torque = (length, th) => length * (fx * Math.cos(th) - fy * Math.sin(th));
-        this.tap = 0;
-        this.push = [fx, 0, 0];
-        if (part === 1) this.push[1] = torque(along * view.length1, th1);
-        if (part === 2) this.push.splice(1, 2, torque(view.length1, th1), torque(along * view.length2, th2));
-    }
-
-    /** Move the start to where the pointer is. */
-    place() {
-        const { part, view, to } = this.drag, x = [...this.lanes[0].states.slice(0, 3), 0, 0, 0];
-        const [right, above] = [(to.x - view.cx) / view.scale, (view.cy - to.y) / view.scale];
-        if (part === 0) x[0] = view.track === null ? right : Math.max(-0.95 * view.track, Math.min(0.95 * view.track, right));
-        if (part === 1) x[1] = Math.atan2(right - x[0], above);
-        if (part === 2) x[2] = Math.atan2(right - x[0] - view.length1 * Math.sin(x[1]), above - view.length1 * Math.cos(x[1]));
-        this.scene.start = x.map((each) => +each.toFixed(4));
-        this.begin();
-    }
-
-    keys() {
-        addEventListener("keydown", (event) => {
-            const typing = event.target.closest?.("input, select, textarea, summary"), pressing = event.target.closest?.("button");
-            if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
-            const sign = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-            if (sign) {
-                if (!event.repeat) this.press(sign);
-            } else if (event.key in PART_KEYS) {
-                find("part").value = PART_KEYS[event.key];
-                this.said();
-            } else if (event.key === " " && !pressing) this.running ? this.pause() : this.play();
-            else if (event.key === ".") this.single();
-            else if (event.key === "r" || event.key === "R") this.begin();
-            else return;
-            event.preventDefault();
-        });
-        addEventListener("keyup", (event) => {
-            if (event.key.startsWith("Arrow")) this.release();
-        });
-        addEventListener("blur", () => this.release());
     }
 }
 

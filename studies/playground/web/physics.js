@@ -24,7 +24,8 @@ export class Noise {
 
 /** Return a rig as the catalogue has it, changed: null is no limit, and a centre or inertia left out. */
 export function changedRig(rig, changes) {
-    const own = {}, plant = {};
+    const own = {},
+        plant = {};
     for (const [name, value] of Object.entries(changes)) (name in rig.params ? plant : own)[name] = value;
     return { ...rig, ...own, params: { ...rig.params, ...plant } };
 }
@@ -42,7 +43,10 @@ export function coefficients(rig) {
 /** Return how many Runge-Kutta steps a sample takes, as dpend.Rig has it, so that stiff friction comes to rest. */
 export function stableSubsteps(rig, c) {
     if (!(c.b0 || c.b1 || c.b2 || c.coulomb)) return rig.substeps;
-    const speed = 1e-7, x = new Float64Array(6), plus = new Float64Array(6), minus = new Float64Array(6);
+    const speed = 1e-7,
+        x = new Float64Array(6),
+        plus = new Float64Array(6),
+        minus = new Float64Array(6);
     let fastest = 0;
     for (let i = 0; i < 5; i++) {
         for (let j = 0; j < 8; j++) {
@@ -102,7 +106,8 @@ export class Stepper {
 
     /** Move on by one sample under a command and a push, and return what is measured then. */
     step(command, push) {
-        const { rig } = this, limit = rig.force_limit ?? Infinity;
+        const { rig } = this,
+            limit = rig.force_limit ?? Infinity;
         let u = Math.max(-limit, Math.min(limit, this.commands.pass(command)));
         u += this.remainder * (this.drive - u);
         this.drive = u;
@@ -116,7 +121,8 @@ export class Stepper {
     }
 
     measured() {
-        const y = Float64Array.from(this.x), std = this.rig.sensor_noise;
+        const y = Float64Array.from(this.x),
+            std = this.rig.sensor_noise;
         if (std > 0) for (let i = 0; i < 6; i++) y[i] += std * this.sensors.normal();
         return y;
     }

@@ -5,7 +5,8 @@ export const WINDOW = 6; // s
 
 /** Return the colours of the page's theme. */
 export function themeOf(element) {
-    const style = getComputedStyle(element), read = (name) => style.getPropertyValue(`--${name}`).trim();
+    const style = getComputedStyle(element),
+        read = (name) => style.getPropertyValue(`--${name}`).trim();
     return Object.fromEntries(["ink", "paper", "soft", "line", "push", "fallen"].map((name) => [name, read(name)]));
 }
 
@@ -56,19 +57,29 @@ export function frame(pen, box, theme, heading, range, level = 0) {
 
 const yOf = (box, [low, high], value) => box.y + box.h - ((value - low) / (high - low)) * box.h;
 
-/** Draw values that are so many seconds apart, the last at time end; held ones as a staircase, and angles without the jumps of whole turns. */
-export function curve(pen, box, range, values, h, end, { colour, dashes = [], width = 2, held = false, turns = false }) {
-    const first = Math.max(0, Math.floor((end - WINDOW) / h)), from = Math.max(end, WINDOW) - WINDOW;
+/** Draw values h seconds apart up to a time: held ones as a staircase, angles without the jumps of whole turns. */
+export function curve(
+    pen,
+    box,
+    range,
+    values,
+    h,
+    end,
+    { colour, dashes = [], width = 2, held = false, turns = false },
+) {
+    const first = Math.max(0, Math.floor((end - WINDOW) / h)),
+        from = Math.max(end, WINDOW) - WINDOW;
     pen.save();
     pen.beginPath();
     pen.rect(box.x, box.y - 1, box.w, box.h + 2);
     pen.clip();
     pen.beginPath();
     for (let k = first; k < values.length && k * h <= end; k++) {
-        const x = box.x + ((k * h - from) / WINDOW) * box.w, y = yOf(box, range, values[k]);
+        const x = box.x + ((k * h - from) / WINDOW) * box.w,
+            y = yOf(box, range, values[k]);
         if (k === first || (turns && Math.abs(values[k] - values[k - 1]) > Math.PI)) pen.moveTo(x, y);
         else pen.lineTo(x, y);
-        if (held) pen.lineTo(box.x + (Math.min((k + 1) * h, end) - from) / WINDOW * box.w, y);
+        if (held) pen.lineTo(box.x + ((Math.min((k + 1) * h, end) - from) / WINDOW) * box.w, y);
     }
     Object.assign(pen, { strokeStyle: colour, lineWidth: width, lineJoin: "round" });
     pen.setLineDash(dashes);
@@ -80,34 +91,56 @@ export function curve(pen, box, range, values, h, end, { colour, dashes = [], wi
 export function rangeOf(lists, h, end, least) {
     let most = least;
     for (const values of lists) {
-        for (let k = Math.max(0, Math.floor((end - WINDOW) / h)); k < values.length; k++) most = Math.max(most, Math.abs(values[k]));
+        for (let k = Math.max(0, Math.floor((end - WINDOW) / h)); k < values.length; k++)
+            most = Math.max(most, Math.abs(values[k]));
     }
     return least * 2 ** Math.ceil(Math.log2(most / least) - 1e-9);
 }
 
 /** Draw angles and energy of all lanes, one plot beside or under the other. */
 export function drawPlots(canvas, lanes, time) {
-    const theme = themeOf(canvas), width = canvas.clientWidth, wide = width >= 640;
-    const height = wide ? 170 : 320, pen = sharp(canvas, width, height);
+    const theme = themeOf(canvas),
+        width = canvas.clientWidth,
+        wide = width >= 640;
+    const height = wide ? 170 : 320,
+        pen = sharp(canvas, width, height);
     pen.fillStyle = theme.paper;
     pen.fillRect(0, 0, width, height);
-    const w = wide ? width / 2 - 52 : width - 46, h = 120;
+    const w = wide ? width / 2 - 52 : width - 46,
+        h = 120;
     const boxes = [{ x: 40, y: 26, w, h }, wide ? { x: width / 2 + 46, y: 26, w, h } : { x: 40, y: 186, w, h }];
     const step = lanes[0].rig.sample_time;
     const recent = Math.max(0, Math.floor((time - WINDOW) / step) - 1);
-    const lists = lanes.map((lane) => [1, 2].map((i) => {
-        const values = new Array(lane.x.length);
-        for (let k = recent; k < values.length; k++) values[k] = wrapped(lane.x[k][i]);
-        return values;
-    }));
+    const lists = lanes.map((lane) =>
+        [1, 2].map((i) => {
+            const values = new Array(lane.x.length);
+            for (let k = recent; k < values.length; k++) values[k] = wrapped(lane.x[k][i]);
+            return values;
+        }),
+    );
     const most = Math.min(rangeOf(lists.flat(), step, time, 0.2), Math.PI);
     frame(pen, boxes[0], theme, "angles, rad: lower link solid, upper dashed", [-most, most]);
-    lanes.forEach((lane, i) => lists[i].forEach((values, j) => {
-        curve(pen, boxes[0], [-most, most], values, step, time, { colour: inkOf(lane.look, theme), dashes: j ? [5, 4] : [], turns: true });
-    }));
-    const up = lanes[0].upright, above = rangeOf(lanes.map((lane) => lane.energy), step, time, up || 1);
+    lanes.forEach((lane, i) =>
+        lists[i].forEach((values, j) => {
+            curve(pen, boxes[0], [-most, most], values, step, time, {
+                colour: inkOf(lane.look, theme),
+                dashes: j ? [5, 4] : [],
+                turns: true,
+            });
+        }),
+    );
+    const up = lanes[0].upright,
+        above = rangeOf(
+            lanes.map((lane) => lane.energy),
+            step,
+            time,
+            up || 1,
+        );
     frame(pen, boxes[1], theme, "energy, J: the line is that of standing upright", [-above, above], up);
     for (const lane of lanes) {
-        curve(pen, boxes[1], [-above, above], lane.energy, step, time, { colour: inkOf(lane.look, theme), dashes: dashesOf(lane.look.line) });
+        curve(pen, boxes[1], [-above, above], lane.energy, step, time, {
+            colour: inkOf(lane.look, theme),
+            dashes: dashesOf(lane.look.line),
+        });
     }
 }

@@ -25,10 +25,15 @@ export function save(name, blob) {
 export class Film {
     constructor(canvas) {
         const kinds = ["video/webm;codecs=vp9", "video/webm", "video/mp4"];
-        this.kind = globalThis.MediaRecorder ? kinds.find((kind) => MediaRecorder.isTypeSupported(kind)) : undefined;
+        this.kind = globalThis.MediaRecorder
+            ? kinds.find((kind) => MediaRecorder.isTypeSupported(kind))
+            : undefined;
         if (!this.kind) throw new Error("This browser records no film; take the GIF.");
         this.parts = [];
-        this.recorder = new MediaRecorder(canvas.captureStream(30), { mimeType: this.kind, videoBitsPerSecond: 4e6 });
+        this.recorder = new MediaRecorder(canvas.captureStream(30), {
+            mimeType: this.kind,
+            videoBitsPerSecond: 4e6,
+        });
         this.recorder.ondataavailable = (event) => this.parts.push(event.data);
         this.recorder.start(500);
     }
@@ -69,6 +74,52 @@ export class Pictures {
     }
 
     stop() {
-        save("double-pendulum.gif", new Blob([gifOf(this.frames, this.small.width, this.small.height, 8)], { type: "image/gif" }));
+        save(
+            "double-pendulum.gif",
+            new Blob([gifOf(this.frames, this.small.width, this.small.height, 8)], { type: "image/gif" }),
+        );
     }
+}
+
+/** What is being recorded of a canvas, and the buttons that say so. */
+export class Recorder {
+    constructor(canvas, notice) {
+        Object.assign(this, { canvas, notice, film: null, gif: null });
+    }
+
+    /** Begin a film or a GIF, or end it. */
+    turn(kind, button) {
+        try {
+            if (this[kind]) {
+                this[kind].stop();
+                this[kind] = null;
+            } else this[kind] = new (kind === "film" ? Film : Pictures)(this.canvas);
+        } catch (error) {
+            this.notice(error.message);
+        }
+        button.setAttribute("aria-pressed", Boolean(this[kind]));
+        button.textContent = this[kind] ? "End it" : kind === "film" ? "Film" : "GIF";
+    }
+
+    /** Take a picture, if one is due, and return whether there is no room for another. */
+    take() {
+        this.gif?.take(performance.now());
+        return Boolean(this.gif?.full);
+    }
+}
+
+/** Hand a lane's table over. */
+export function saveTable(lane) {
+    if (lane) save(`${lane.name.replace(/\W+/g, "-")}.csv`, new Blob([csvOf(lane)], { type: "text/csv" }));
+}
+
+/** Copy the page's address, and let a button say for a while whether that was possible. */
+export function copyAddress(button) {
+    const copied = navigator.clipboard?.writeText(location.href) ?? Promise.reject(new Error());
+    button.dataset.label ??= button.textContent;
+    copied.then(
+        () => (button.textContent = "Copied"),
+        () => (button.textContent = "Copy the address above"),
+    );
+    setTimeout(() => (button.textContent = button.dataset.label), 3000);
 }

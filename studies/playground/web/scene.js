@@ -8,12 +8,33 @@ export const SLIDERS = {
     mass1: ["Lower link’s mass", "kg", 0.05, 2, 0.05, "The link on the cart."],
     mass2: ["Upper link’s mass", "kg", 0.05, 2, 0.05, "The link on top, the harder one to change."],
     length1: ["Lower link’s length", "m", 0.3, 2, 0.05, "Longer links fall more slowly."],
-    length2: ["Upper link’s length", "m", 0.3, 2, 0.05, "Change it and see who still copes: no controller is told."],
+    length2: [
+        "Upper link’s length",
+        "m",
+        0.3,
+        2,
+        0.05,
+        "Change it and see who still copes: no controller is told.",
+    ],
     cart_friction: ["Friction of the cart", "N s/m", 0, 10, 0.1, "Grows with the cart’s speed."],
     joint1_friction: ["Friction of the lower joint", "N m s", 0, 0.5, 0.01, "Grows with the lower link’s rate."],
-    joint2_friction: ["Friction of the upper joint", "N m s", 0, 0.5, 0.01, "Grows with the rate between the links."],
+    joint2_friction: [
+        "Friction of the upper joint",
+        "N m s",
+        0,
+        0.5,
+        0.01,
+        "Grows with the rate between the links.",
+    ],
     force_limit: ["Force limit", "N", 1, 100, 1, "The most that the motor gives, whatever it is asked for."],
-    sensor_noise: ["Sensor noise", "m, rad, m/s, rad/s", 0, 0.1, 0.001, "Each measurement is off by about this much."],
+    sensor_noise: [
+        "Sensor noise",
+        "m, rad, m/s, rad/s",
+        0,
+        0.1,
+        0.001,
+        "Each measurement is off by about this much.",
+    ],
     sensor_delay: ["Sensor delay", "samples", 0, 10, 1, "The controller sees the past."],
     force_noise: ["Force noise", "N", 0, 10, 0.1, "The motor gives about this much more or less."],
     actuator_delay: ["Motor delay", "samples", 0, 10, 1, "The force comes late."],
@@ -27,8 +48,17 @@ export const STARTS = {
 };
 
 const FIRST = {
-    rig: "gustafsson2016", task: "balance", left: "Q tuned", right: "LQR", start: STARTS.near[1], copies: 1, lam: 0.3,
-    seed: 0, speed: 1, source: CATALOGUE.python ? "python" : "tab", changes: {},
+    rig: "gustafsson2016",
+    task: "balance",
+    left: "Q tuned",
+    right: "LQR",
+    start: STARTS.near[1],
+    copies: 1,
+    lam: 0.3,
+    seed: 0,
+    speed: 1,
+    source: CATALOGUE.python ? "python" : "tab",
+    changes: {},
 };
 
 const rounded = (start) => start.map((each) => +each.toFixed(4)).join();
@@ -38,7 +68,8 @@ export const placeOf = (start) => Object.keys(STARTS).find((name) => rounded(STA
 
 /** Return the scene that a URL's # describes; what is unknown or out of range stays as at first. */
 export function sceneOf(hash) {
-    const words = new URLSearchParams(hash.slice(1)), scene = structuredClone(FIRST);
+    const words = new URLSearchParams(hash.slice(1)),
+        scene = structuredClone(FIRST);
     const chosen = (name, known) => known.includes(words.get(name)) && (scene[name] = words.get(name));
     const numbered = (name, least, most) => {
         const value = Number(words.get(name) ?? NaN);
@@ -47,9 +78,16 @@ export function sceneOf(hash) {
     chosen("rig", Object.keys(CATALOGUE.rigs));
     chosen("task", ["balance", "swing-up", "none"]);
     chosen("source", CATALOGUE.python ? ["python", "tab"] : ["tab"]);
-    chosen("left", offered(scene).map((each) => each.name));
+    chosen(
+        "left",
+        offered(scene).map((each) => each.name),
+    );
     if (words.get("right") === "") scene.right = "";
-    else chosen("right", offered(scene).map((each) => each.name));
+    else
+        chosen(
+            "right",
+            offered(scene).map((each) => each.name),
+        );
     numbered("copies", 1, CATALOGUE.mostCopies);
     numbered("lam", 0.05, 0.8);
     numbered("seed", 0, 1e9);
@@ -57,7 +95,8 @@ export function sceneOf(hash) {
     scene.copies = Math.round(scene.copies);
     scene.seed = Math.round(scene.seed);
     const start = (words.get("start") ?? "").split(",").map(Number);
-    if (start.length === 6 && start.every((each) => Math.abs(each) < 100)) scene.start = STARTS[placeOf(start)]?.[1] ?? start;
+    if (start.length === 6 && start.every((each) => Math.abs(each) < 100))
+        scene.start = STARTS[placeOf(start)]?.[1] ?? start;
     for (const [name, [, , least, most]] of Object.entries(SLIDERS)) {
         const value = Number(words.get(name) ?? NaN);
         if (value >= least && value <= most) scene.changes[name] = value;
@@ -79,7 +118,8 @@ export function hashOf(scene) {
 
 /** Return the controllers that a scene's rig, task and source allow. */
 export function offered(scene) {
-    const fits = (each) => each.rigs.includes(scene.rig) && (scene.task === "none" || each.tasks.includes(scene.task));
+    const fits = (each) =>
+        each.rigs.includes(scene.rig) && (scene.task === "none" || each.tasks.includes(scene.task));
     return CATALOGUE.controllers.filter(
         (each) => fits(each) && (scene.source === "python" || worksInTab(each.name, scene.rig)),
     );
@@ -95,10 +135,11 @@ export function fitted(scene) {
     return scene;
 }
 
-/** Return the states in which every lane begins, six numbers a copy: one start, or as many at random as there are copies. */
+/** Return the states in which every lane begins, six numbers a copy: the start, or at random for many copies. */
 export function startStates(scene) {
     if (scene.copies === 1) return Float64Array.from(scene.start);
-    const states = new Float64Array(6 * scene.copies), noise = new Noise(scene.seed, 2);
+    const states = new Float64Array(6 * scene.copies),
+        noise = new Noise(scene.seed, 2);
     const middle = scene.task === "swing-up" ? Math.PI : 0;
     for (let i = 0; i < scene.copies; i++) {
         for (const j of [1, 2]) states[6 * i + j] = middle + scene.lam * (2 * noise.uniform() - 1);
@@ -108,7 +149,8 @@ export function startStates(scene) {
 
 /** Return the best share of starts that any force saves at a scene's λ; NaN where it is not known. */
 export function savable(scene) {
-    const { saved } = CATALOGUE, plain = Object.keys(scene.changes).length === 0;
+    const { saved } = CATALOGUE,
+        plain = Object.keys(scene.changes).length === 0;
     if (scene.rig !== saved.rig || scene.task !== "balance" || !plain) return NaN;
     const i = saved.lambdas.findIndex((lam) => lam >= scene.lam - 1e-9);
     if (i < 0) return NaN;

@@ -32,12 +32,14 @@ export class PythonSource {
         this.waiting.delete(answer.id);
         if (!asked) {
             if (answer.error) this.refusal = answer.error;
-        } else if (answer.error || answer.lost) asked.reject(Object.assign(new Error(answer.error ?? answer.lost), answer));
+        } else if (answer.error || answer.lost)
+            asked.reject(Object.assign(new Error(answer.error ?? answer.lost), answer));
         else asked.resolve(answer);
     }
 
     gone(event) {
-        for (const asked of this.waiting.values()) asked.reject(Object.assign(new Error("connection"), { gone: true }));
+        for (const asked of this.waiting.values())
+            asked.reject(Object.assign(new Error("connection"), { gone: true }));
         this.waiting.clear();
         this.socket = null;
         if (this.closed) return;
@@ -48,7 +50,8 @@ export class PythonSource {
 
     async ask(message) {
         await this.opened;
-        if (this.socket?.readyState !== WebSocket.OPEN) throw Object.assign(new Error("connection"), { gone: true });
+        if (this.socket?.readyState !== WebSocket.OPEN)
+            throw Object.assign(new Error("connection"), { gone: true });
         const id = ++this.id;
         return new Promise((resolve, reject) => {
             this.waiting.set(id, { resolve, reject });

@@ -5,8 +5,11 @@ import { changedRig, Stepper } from "./physics.js";
 
 /** How a run ends, by its code; the order is that of dpend.Status. */
 export const ENDS = [
-    "", "The cart reached the end of the track.", "Link 1 fell: it leans by more than a quarter turn.",
-    "Link 2 fell: it leans by more than a quarter turn.", "The state is no longer a finite number.",
+    "",
+    "The cart reached the end of the track.",
+    "Link 1 fell: it leans by more than a quarter turn.",
+    "Link 2 fell: it leans by more than a quarter turn.",
+    "The state is no longer a finite number.",
     "The controller failed.",
 ];
 
@@ -35,7 +38,8 @@ class Copies {
     }
 
     advance(samples, push) {
-        const x = [], u = [];
+        const x = [],
+            u = [];
         for (let k = 0; k < samples; k++) {
             const running = !this.codes[0];
             for (let i = 0; i < this.n; i++) if (!this.codes[i]) this.move(i, push);
@@ -66,7 +70,8 @@ export class TabSource {
 
     /** Begin a scene, or go on with one that was changed. */
     async scene(message) {
-        const before = this.message, rig = changedRig(CATALOGUE.rigs[message.rig], message.changes);
+        const before = this.message,
+            rig = changedRig(CATALOGUE.rigs[message.rig], message.changes);
         const same = message.k > 0 && before && before.rig === message.rig;
         this.lanes = message.controllers.map((name, i) => {
             const law = LAWS[message.rig][name];
