@@ -148,13 +148,13 @@ class Scene:
             raise ValueError("controllers must be a list of one name or two.")
         for name in names:
             checked_name("a controller", name, [each.name for each in known if fits(each, rig)])
-        changes = message.get("changes", {})
-        if not isinstance(changes, dict):
+        given = message.get("changes", {})
+        if not isinstance(given, dict):
             raise ValueError("changes must be an object of numbers by name.")
-        for name, value in changes.items():
-            checked_name("a change", name, CHANGES)
-            most = 50.0 if name.endswith("delay") else 1e4
-            changes[name] = _number(name, value, 0.0, most)
+        changes = {
+            checked_name("a change", name, CHANGES): _number(name, value, 0.0, 50.0 if "delay" in name else 1e4)
+            for name, value in given.items()
+        }
         states = message.get("states")
         if not isinstance(states, list) or len(states) != len(names):
             raise ValueError("states must be a list with one list of numbers for each controller.")
@@ -195,7 +195,7 @@ def advance_of(message: Mapping[str, Any]) -> tuple[int, Array]:
 
 
 class TookTooLong(BaseException):
-    """A controller that had to be interrupted; no controller's ``except Exception`` catches it."""
+    """A controller that had to be interrupted; its own ``except Exception`` does not catch it."""
 
 
 @contextmanager
@@ -209,7 +209,7 @@ def within(seconds: float) -> Iterator[None]:
         raise TookTooLong
 
     before = signal.signal(signal.SIGALRM, interrupt)
-    signal.setitimer(signal.ITIMER_REAL, seconds, 0.1)  # again and again, should the block go on all the same
+    signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
@@ -371,10 +371,10 @@ def _serve(requests: BinaryIO, answers: BinaryIO, specs: Sequence[str]) -> None:
     answers.flush()
     for line in requests:
         try:
-            answer = playground.answer(json.loads(line))
+            answer = json.dumps(playground.answer(json.loads(line)), allow_nan=False)
         except ValueError as error:
-            answer = {"error": str(error)}
-        answers.write(json.dumps(answer, allow_nan=False).encode() + b"\n")
+            answer = json.dumps({"error": str(error)})
+        answers.write(answer.encode() + b"\n")
         answers.flush()
 
 

@@ -214,7 +214,7 @@ class Server:
             self._visitors -= 1
 
     async def _serve(self, visitor: WebSocket) -> None:
-        """Answer a visitor's messages in turn, until he leaves, be it in the middle of an answer."""
+        """Answer a visitor's messages in turn until the visitor leaves, be it in the middle of an answer."""
         process, self._spare = self._spare or await self._new(), None
         inbox: asyncio.Queue[str | None] = asyncio.Queue(4)
         leaving = asyncio.create_task(_read(visitor, inbox))
@@ -245,12 +245,13 @@ class Server:
                 idle = True
                 await visitor.send_text(f'{{"id": {json.dumps(identity)}, {answer[1:].decode()}')
         except (WebSocketDisconnect, RuntimeError):
-            pass  # he left while he was being answered
+            pass  # the visitor left while being answered
         finally:
             leaving.cancel()
             if answering is not None and not idle:
                 idle = bool((await asyncio.wait({answering}, timeout=1.0))[0]) and answering.exception() is None
                 answering.cancel()
+                await asyncio.wait({answering})
             if idle and self._spare is None:
                 self._spare = process  # the next scene replaces all that was in it
             else:
