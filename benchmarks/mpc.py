@@ -27,6 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 import dpend
+from benchmarks.dompc_plant import rods
 from benchmarks.simulator import TITLE, pin_to_one_core, version_of
 from controllers.codegen import NLPSolver
 from controllers.shooting import Stage, multiple_shooting
@@ -131,44 +132,10 @@ def theirs() -> Law:
     """Return the law that do-mpc makes of the same problem with the example's settings."""
     import do_mpc
 
-    params, gravity = RIG.params, RIG.params.gravity
-    model = do_mpc.model.Model("continuous", "SX")
-    mass1, mass2 = model.set_variable("_p", "m1"), model.set_variable("_p", "m2")
+    params = RIG.params
+    model = rods(params)
     target = model.set_variable("_tvp", "pos_set")
-    pos = model.set_variable("_x", "pos")
-    theta = model.set_variable("_x", "theta", (2, 1))
-    dpos = model.set_variable("_x", "dpos")
-    dtheta = model.set_variable("_x", "dtheta", (2, 1))
-    ddpos = model.set_variable("_z", "ddpos")
-    ddtheta = model.set_variable("_z", "ddtheta", (2, 1))
-    force = model.set_variable("_u", "force")
-
-    # The equations of motion, implicit in the accelerations; inertias do not follow the uncertain masses.
-    half1, half2 = params.length1 / 2, params.length2 / 2
-    inertia1, inertia2 = params.mass1 * half1**2 / 3, params.mass2 * half2**2 / 3
-    first = mass1 * half1 + mass2 * params.length1
-    second = mass2 * half2
-    both = mass2 * half2 * params.length1
-    s, c = [casadi.sin(theta[i]) for i in (0, 1)], [casadi.cos(theta[i]) for i in (0, 1)]
-    between = theta[0] - theta[1]
-    on_cart = (params.cart_mass + mass1 + mass2) * ddpos + first * c[0] * ddtheta[0] + second * c[1] * ddtheta[1]
-    on_first = first * c[0] * ddpos + (mass1 * half1**2 + mass2 * params.length1**2 + inertia1) * ddtheta[0]
-    on_second = second * c[1] * ddpos + both * casadi.cos(between) * ddtheta[0]
-    motion = casadi.vertcat(
-        on_cart - first * s[0] * dtheta[0] ** 2 - second * s[1] * dtheta[1] ** 2 - force,
-        on_first
-        + both * casadi.cos(between) * ddtheta[1]
-        - first * gravity * s[0]
-        + both * casadi.sin(between) * dtheta[1] ** 2,
-        on_second
-        + (mass2 * half2**2 + inertia2) * ddtheta[1]
-        - both * casadi.sin(between) * dtheta[0] ** 2
-        - second * gravity * s[1],
-    )
-    for name, rate in (("pos", dpos), ("theta", dtheta), ("dpos", ddpos), ("dtheta", ddtheta)):
-        model.set_rhs(name, rate)
-    model.set_alg("motion", motion)
-    state = (pos, theta[0], theta[1], dpos, dtheta[0], dtheta[1])
+    state = (model.x["pos"], *casadi.vertsplit(model.x["theta"]), model.x["dpos"], *casadi.vertsplit(model.x["dtheta"]))
     model.set_expression("clearance", casadi.vertcat(*distances(state)))
     model.setup()
 
@@ -183,7 +150,7 @@ def theirs() -> Law:
     mpc.settings.collocation_ni = 1
     mpc.settings.store_full_solution = True
     mpc.settings.supress_ipopt_output()
-    state = (model.x["pos"], model.x["theta", 0], model.x["theta", 1], model.x["dpos"], *casadi.vertsplit(dtheta))
+    state = (model.x["pos"], *casadi.vertsplit(model.x["theta"]), model.x["dpos"], *casadi.vertsplit(model.x["dtheta"]))
     mpc.set_objective(mterm=final_cost(state), lterm=stage_cost(state, target))
     mpc.set_rterm(force=CHANGE)
     mpc.bounds["lower", "_u", "force"] = -RIG.force_limit

@@ -28,6 +28,7 @@ from rich.table import Table
 
 import dpend
 from benchmarks import mujoco_plant
+from benchmarks.relative import from_relative, to_relative
 from controllers import LQR
 from dpend.params import Array
 
@@ -96,7 +97,7 @@ def mujoco_job(rig: dpend.Rig, lqr: LQR, rows: int) -> Job:
     data = mujoco.MjData(model)
     x0 = dpend.Balance(lam=0.1).starts(np.random.default_rng(0), rows, rig)
     ours = dpend.simulate_many(rig, lqr, x0, SAMPLES * rig.sample_time, task=None, record=True)
-    start = np.concatenate([np.zeros((rows, 1)), *mujoco_plant.to_mujoco(x0)], axis=1)  # time comes first
+    start = np.concatenate([np.zeros((rows, 1)), *to_relative(x0)], axis=1)  # time comes first
     forces = np.repeat(np.nan_to_num(ours.u), rig.substeps, axis=1)[:, :, None]
     states = np.empty((*forces.shape[:2], start.shape[1]))
 
@@ -108,7 +109,7 @@ def mujoco_job(rig: dpend.Rig, lqr: LQR, rows: int) -> Job:
     second = round(1 / rig.sample_time)
     after = states[:, second * rig.substeps - 1, 1:]
     assert ours.x is not None
-    apart = np.abs(mujoco_plant.from_mujoco(after[:, :3], after[:, 3:]) - ours.x[:, second]).max()
+    apart = np.abs(from_relative(after[:, :3], after[:, 3:]) - ours.x[:, second]).max()
     if not apart < 1e-9:
         raise RuntimeError(f"MuJoCo's plant moves otherwise: after one second the states are {apart:.1e} apart.")
     return job
