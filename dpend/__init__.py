@@ -27,6 +27,8 @@ from .tasks import Balance, SwingUp, Task
 if TYPE_CHECKING:
     from .check import check_controller, check_learner
 
+__version__ = "0.1.0"
+
 __all__ = [
     "EQUILIBRIA",
     "NAMES",

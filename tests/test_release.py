@@ -1,0 +1,41 @@
+"""What is released says its version once, and its workflows run what they name."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+import dpend
+
+ROOT = Path(__file__).parent.parent
+WORKFLOWS = sorted((ROOT / ".github/workflows").glob("*.yml"))
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_the_version_stands_in_one_place() -> None:
+    assert version("dpend") == dpend.__version__
+    assert "version" not in PROJECT["project"]
+
+
+@pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.stem)
+def test_actions_are_pinned_by_hash_with_their_version_beside(workflow: Path) -> None:
+    used = re.findall(r"uses: (.*)", workflow.read_text())
+    assert used
+    assert not [each for each in used if not re.fullmatch(r"[\w-]+/[\w-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+", each)]
+
+
+def test_ci_runs_what_a_developer_runs_on_every_python_that_is_promised() -> None:
+    (tests,) = (path.read_text() for path in WORKFLOWS if path.stem == "tests")
+    assert "run: .ci/run" in tests
+    lowest = PROJECT["project"]["requires-python"].removeprefix(">=")
+    assert f'python: ["{lowest}", ' in tests
+
+
+def test_every_shipped_file_exists() -> None:
+    forced = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    assert forced
+    assert not [file for file in forced if not (ROOT / file).is_file()]
