@@ -1,4 +1,4 @@
-"""What is released says its version once, and its workflows run what they name."""
+"""What is released says its version once, its workflows run what they name, and what it promises of safety is so."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from test_architecture import SOURCES, imports
 
 import dpend
 
@@ -39,3 +40,23 @@ def test_every_shipped_file_exists() -> None:
     forced = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     assert forced
     assert not [file for file in forced if not (ROOT / file).is_file()]
+
+
+def test_what_listens_or_fetches_is_named_in_the_security_policy() -> None:
+    network = {
+        "asyncio",
+        "ftplib",
+        "http",
+        "httpx",
+        "requests",
+        "socket",
+        "socketserver",
+        "starlette",
+        "urllib",
+        "uvicorn",
+    }
+    found = {
+        name for name, path in SOURCES.items() for each in imports(path) if each.module.partition(".")[0] in network
+    }
+    policy = (ROOT / "SECURITY.md").read_text()
+    assert not {name for name in found if name not in policy}
