@@ -272,10 +272,10 @@ class ILQRMPC:
 
     Notes
     -----
-    ``act.log`` holds, sample by sample, ``status`` (:class:`Step`), ``iterations`` and ``cost``.  The force is finite
-    whatever is measured: a measurement that is not finite is replaced by the one planned for, and ``held`` in the log
-    says where.  Angles are taken to the turn nearest to the plan.  From a state that no force keeps on the track, the
-    plan leaves it as little as it can.
+    ``act.log`` holds, sample by sample, ``status`` (:class:`controllers.ilqr.Step`), ``iterations`` and ``cost``.  The
+    force is finite whatever is measured: a measurement that is not finite is replaced by the one planned for, and
+    ``held`` in the log says where.  Angles are taken to the turn nearest to the plan.  From a state that no force keeps
+    on the track, the plan leaves it as little as it can.
 
     Rows of a batch are planned for side by side in compiled code, by as many threads as the process has cores; in a
     worker process by one.  Each row's forces are, to the bit, those that it would have alone.

@@ -124,14 +124,14 @@ class NMPC:
 
     Notes
     -----
-    A run records ``status`` (:class:`PlanStatus`), ``iterations`` and ``solve_time`` (s) of each step; those of the
-    first step are the sums over its guesses.  Each solve returns or is abandoned within ten seconds, in the first step
-    together with the guesses still to come, and every force is finite, whatever is measured: what is not finite, or
-    faster than half a radian in a Runge-Kutta step, is taken to be as planned, and nothing faster is planned.  Angles
-    count by the turns nearest to the plan's.  From a start that cannot stop within the margin, the plan keeps off the
-    track's end as far as it can.  Where five solves in a row have failed, the plan that is followed is a poor guess,
-    and each solve begins where the one before stopped.  The plan's Hessian is Gauss and Newton's, so it is never
-    indefinite.
+    A run records ``status`` (:class:`controllers.nmpc.PlanStatus`), ``iterations`` and ``solve_time`` (s) of each step;
+    those of the first step are the sums over its guesses.  Each solve returns or is abandoned within ten seconds, in
+    the first step together with the guesses still to come, and every force is finite, whatever is measured: what is not
+    finite, or faster than half a radian in a Runge-Kutta step, is taken to be as planned, and nothing faster is
+    planned.  Angles count by the turns nearest to the plan's.  From a start that cannot stop within the margin, the
+    plan keeps off the track's end as far as it can.  Where five solves in a row have failed, the plan that is followed
+    is a poor guess, and each solve begins where the one before stopped.  The plan's Hessian is Gauss and Newton's, so
+    it is never indefinite.
 
     The solver is built when a run first needs it, once a process for equal settings; compiled code is kept in the
     user's cache folder.  Source: J. Rawlings, D. Mayne and M. Diehl, *Model Predictive Control*, 2017, chapter 8;

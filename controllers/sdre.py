@@ -126,10 +126,10 @@ def solve_riccati(
 class SDRE:
     r"""Law :math:`u = -K(x)\,x` with the gain of :math:`\dot x = A(x)x + B(x)u`, sampled, taken as if it were linear.
 
-    In every sample the plant is factorised where it is (:func:`factorize`), sampled with its force held, and the
-    discrete Riccati equation solved, for all rows at once.  Upright that is LQR; away from upright it is no optimum, as
-    the factorisation is not the only one, but it knows the plant's nonlinearity where LQR knows its tangent.  Where no
-    stabilising solution is found a row keeps its last gain, at first LQR's.
+    In every sample the plant is factorised where it is (:func:`controllers.sdre.factorize`), sampled with its force
+    held, and the discrete Riccati equation solved, for all rows at once.  Upright that is LQR; away from upright it is
+    no optimum, as the factorisation is not the only one, but it knows the plant's nonlinearity where LQR knows its
+    tangent.  Where no stabilising solution is found a row keeps its last gain, at first LQR's.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ _MESSAGES = tuple(status.value for status in Status)
 class RigEnvironment:
     """What single and vector environments share: a task on a rig, what actions mean, what is observed and paid.
 
-    A subclass sets ``task`` and ``rig``, then calls :meth:`_set_up`; the rest it has from Gymnasium.
+    A subclass sets ``task`` and ``rig``, then calls ``_set_up``; the rest it has from Gymnasium.
     """
 
     metadata: dict[str, Any]

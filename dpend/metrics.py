@@ -129,7 +129,7 @@ def smoothness_metrics(
     With :math:`q = e^{-h/\tau}` the lag's error :math:`e_k = q\,e_{k-1} + u_k - u_{k-1}`, :math:`e_0 = 0`, decays
     within a sample, so :math:`\int\dot v^2 dt = \frac{1 - q^2}{2\tau}\sum_k e_k^2` exactly.
 
-    The spectrum is that of :func:`power_spectrum`.
+    The spectrum is that of :func:`dpend.metrics.power_spectrum`.
 
     Sources: ``caps_sm``: S. Mysore et al., *Regularizing Action Policies for Smooth Control with Reinforcement
     Learning*, 2021, with amplitudes and frequencies as their program spaces them (:math:`2 f_i/f_s` from 0 to 1 in

@@ -151,7 +151,7 @@ class Balance(ReportCost):
         ``"report"`` looks at link 1 alone, as the report does; a controller that lets link 2 swing round then counts
         as balancing.
     state_weights, failure_cost
-        See :class:`ReportCost`.
+        See :class:`dpend.tasks.ReportCost`.
 
     Raises
     ------
@@ -238,7 +238,7 @@ class SwingUp(ReportCost):
     upright_angle : float
         A link counts as up within this angle of where it is to be, rad.
     state_weights, failure_cost
-        See :class:`ReportCost`.
+        See :class:`dpend.tasks.ReportCost`.
 
     Raises
     ------

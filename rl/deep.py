@@ -136,8 +136,8 @@ def train_deep(
     Training
         The policy is an :class:`rl.MLPPolicy`, the best by evaluation, the latest among equals; of another environment,
         its :class:`rl.Network`.  It has converged where an evaluation was good ``enough``.  ``curve`` has one entry an
-        evaluation: the fields of :class:`Evaluation`, and ``experience``, s of the plant's time without evaluations;
-        ``details`` has the place of the ``best``.
+        evaluation: the fields of :class:`rl.deep.Evaluation`, and ``experience``, s of the plant's time without
+        evaluations; ``details`` has the place of the ``best``.
 
     Raises
     ------

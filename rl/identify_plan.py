@@ -79,7 +79,7 @@ class PlannedPolicy(Saved):
 
     @classmethod
     def from_arrays(cls, *, about: Mapping[str, Any], **arrays: npt.NDArray[Any]) -> PlannedPolicy:
-        """Build a policy from what :meth:`arrays` returned."""
+        """Build a policy from what :meth:`rl.policies.Saved.arrays` returned."""
         return cls(arrays["record"], about=about)
 
 

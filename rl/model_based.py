@@ -215,7 +215,7 @@ def practise(
     spent : list of int
         Samples of experience until each of them.
     success : list of bool
-        Whether each episode was a success, by :func:`settled`.
+        Whether each episode was a success, by :func:`rl.model_based.settled`.
     """
     rig, task, streak = learner.rig, learner.task, learner.streak
     runs: list[Run] = []
@@ -325,9 +325,9 @@ class ModelBased:
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
         """Learn from nothing, as every :class:`rl.Learner` does; a budget may cut the last episode short.
 
-        ``curve`` has the ``length`` of each episode and its ``success``, which is :func:`settled` and is not looked at
-        but to stop; ``details`` the ``noise`` (m, 3) of the measured rates that each model inferred.  Converged means
-        ``streak`` successes in a row.
+        ``curve`` has the ``length`` of each episode and its ``success``, which is :func:`rl.model_based.settled` and is
+        not looked at but to stop; ``details`` the ``noise`` (m, 3) of the measured rates that each model inferred.
+        Converged means ``streak`` successes in a row.
         """
         session, h = Session(self, seed, seconds, progress, _STREAM), float(self.rig.sample_time)
         rng = session.rng

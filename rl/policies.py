@@ -31,7 +31,7 @@ _TRAINED = Path(__file__).parent / "trained"
 
 
 class Saved:
-    """What can be written to a file and read back by :func:`load_policy`."""
+    """What can be written to a file and read back by :func:`rl.load_policy`."""
 
     kind: ClassVar[str]
     """What it is called in its file."""
@@ -145,7 +145,7 @@ class TableOneMean(Saved):
     v : array_like (12 + k,)
         Weights of the features, then of the ``k`` indicators.
     indicators : {"none", "signs", "cells"}
-        Which of :data:`INDICATORS` take part.
+        Which of :data:`rl.policies.INDICATORS` take part.
     about : mapping, optional
         Where the weights come from; saved with them.
     """

@@ -152,8 +152,8 @@ class DeepRecipe:
         How long an episode lasts at most while learning, s; left out, 10 s of the swing-up and the task's own of
         balancing.  Evaluations last as long as ever.
     action_rate : float
-        Weight w of the penalty w |a_t - a_{t-1}| near upright, which grows from nothing to this in the first half of
-        the steps, at each evaluation; the last action is then observed.
+        Weight w of the penalty ``w |a_t - a_{t-1}|`` near upright, which grows from nothing to this in the first half
+        of the steps, at each evaluation; the last action is then observed.
     sensor_noise : float, optional
         Standard deviation of noise on every measured state while learning (m, rad, m/s, rad/s), in place of the rig's
         own.  Evaluations are on the rig as it is.
