@@ -62,7 +62,9 @@ def discretize(A: npt.ArrayLike, B: npt.ArrayLike, sample_time: float) -> tuple[
     Parameters
     ----------
     A : array_like (n, n)
+        The continuous plant's states on their own rates.
     B : array_like (n, m)
+        The inputs on the states' rates.
     sample_time : float
         :math:`T`, s, greater than zero.
 

@@ -131,7 +131,7 @@ class Params:
     cart_coulomb, coulomb_speed : float
         Smooth Coulomb friction of the cart, :math:`F_c v/\sqrt{v^2 + v_s^2}` against the motion, N and m/s.
     gravity : float
-        m/s^2.
+        Acceleration of free fall, m/s^2.
 
     Raises
     ------

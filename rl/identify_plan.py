@@ -40,7 +40,7 @@ _WORSE = 1.5  # times the error with which a rig predicts the runs it was found 
 
 
 class PlannedPolicy(Saved):
-    """iLQR in a receding horizon on a rig.
+    """Receding-horizon iLQR on a rig.
 
     Parameters
     ----------

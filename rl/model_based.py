@@ -52,7 +52,7 @@ def settled(run: Run) -> bool:
 
 
 class ModelPolicy(Saved):
-    """iLQR in a receding horizon on a learned model.
+    """Receding-horizon iLQR on a learned model.
 
     Parameters
     ----------

@@ -1,0 +1,117 @@
+"""How Sphinx builds the site: ``python -m sphinx -W -n -b html docs docs/_build``, with the extra ``docs``."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+ROOT = Path(__file__).parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
+
+project = "dpend"
+author = "the dpend authors"
+project_copyright = "the dpend authors, MIT licence"
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",  # equations need no foreign host
+    "sphinx_copybutton",
+    "sphinx_design",
+    "matplotlib.sphinxext.plot_directive",
+    "numpydoc",
+    "study_directive",
+]
+# Of the results only pictures, films and tables are read; arrays and jobs stay where they are.
+exclude_patterns = ["_build", "figures"]
+nitpicky = True
+nitpick_ignore_regex = [
+    # The libraries' own pages would have to be fetched to link to them, and a build needs no network.
+    ("py:class", r"(numpy|collections)\..*"),
+]
+
+myst_enable_extensions = ["amsmath", "attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 4
+myst_dmath_double_inline = True
+
+autosummary_generate = False
+autodoc_default_options = {"members": True, "member-order": "bysource"}
+autodoc_typehints = "none"  # numpydoc's sections say types in words, with shapes and units
+autodoc_class_signature = "mixed"
+autodoc_preserve_defaults = True
+numpydoc_show_class_members = False
+numpydoc_xref_param_type = False
+
+plot_formats = [("svg", 100)]
+plot_html_show_formats = False
+plot_html_show_source_link = False
+plot_working_directory = str(ROOT)
+plot_rcparams = {"axes.spines.right": False, "axes.spines.top": False, "legend.frameon": False}
+plot_apply_rcparams = True
+
+html_theme = "pydata_sphinx_theme"
+html_title = "dpend"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+html_favicon = "_static/logo.svg"
+html_show_sourcelink = False
+html_copy_source = False
+html_context = {"default_mode": "auto"}
+html_sidebars = {"index": [], "start": [], "report": [], "readme": []}
+html_theme_options = {
+    "logo": {"text": "dpend", "image_light": "_static/logo.svg", "image_dark": "_static/logo-dark.svg"},
+    "navbar_align": "left",
+    "header_links_before_dropdown": 6,
+    "search_as_you_type": True,
+    "show_toc_level": 2,
+    "footer_start": ["copyright"],
+    "footer_end": [],
+    "show_prev_next": True,
+}
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+copybutton_exclude = ".linenos, .gp, .go"
+
+OUTSIDE = {
+    "readme": ROOT / "README.md",
+    "contributing": ROOT / "CONTRIBUTING.md",
+    "changes": ROOT / "CHANGELOG.md",
+    "benchmarks": ROOT / "benchmarks/README.md",
+}
+"""Pages whose text stands elsewhere in the repository, where people look for it."""
+
+
+def read_source(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Take a page's text from where it stands, and let links between the two places hold in both."""
+    page = OUTSIDE.get(docname)
+    if page is not None:
+        app.env.note_dependency(str(page))
+        source[0] = page.read_text(encoding="utf-8")
+    folder = (page or Path(app.env.doc2path(docname))).parent
+    here = Path(app.env.doc2path(docname)).parent
+    pages = {path.resolve(): ROOT / "docs" / f"{name}.md" for name, path in OUTSIDE.items()}
+
+    def moved(match: re.Match[str]) -> str:
+        target = (folder / match["path"]).resolve()
+        if "://" in match["path"] or not target.exists():
+            return match[0]
+        return f"]({os.path.relpath(pages.get(target, target), here)}{match['anchor'] or ''})"
+
+    source[0] = re.sub(r"\]\((?P<path>[^)#\s]+)(?P<anchor>#[^)\s]*)?\)", moved, source[0])
+
+
+def skip_member(_app: Sphinx, _what: str, _name: str, member: object, _skip: bool, _options: object) -> bool | None:
+    """Pass over what a NamedTuple says of its fields by itself, which is only their number."""
+    return True if (getattr(member, "__doc__", None) or "").startswith("Alias for field number") else None
+
+
+def setup(app: Sphinx) -> None:
+    """Register what this file adds to Sphinx."""
+    app.connect("source-read", read_source)
+    app.connect("autodoc-skip-member", skip_member)

@@ -1,0 +1,110 @@
+"""What the documentation shows, works; what is public, it documents."""
+
+import doctest
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from operator import attrgetter
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+
+import dpend.env
+import dpend.vector_env
+from dpend.tasks import Balance, SwingUp
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+CHAPTERS = sorted(path for path in DOCS.glob("learn/*.md") if path.stem != "index")
+
+
+@pytest.mark.parametrize("chapter", CHAPTERS, ids=[path.stem for path in CHAPTERS])
+def test_a_chapter_prints_what_it_shows(chapter):
+    session = "\n".join(re.findall(r"```pycon\n(.*?)```", chapter.read_text(), flags=re.DOTALL))
+    example = doctest.DocTestParser().get_doctest(session, {}, chapter.stem, str(chapter), 0)
+    assert example.examples, "a chapter shows something that runs"
+    lines: list[str] = []
+    assert doctest.DocTestRunner().run(example, out=lines.append).failed == 0, "".join(lines)
+
+
+def test_the_first_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "start.md").read_text(), flags=re.DOTALL)
+    exec(compile("\n".join(blocks), "start.md", "exec"), {})
+    balanced, fell, _ = capsys.readouterr().out.splitlines()
+    assert balanced == dpend.Status.FULL_LENGTH.value
+    assert fell == dpend.Status.LINK2_FELL.value  # as the page says of the law that knows nothing of the theory
+    assert (tmp_path / "run.png").stat().st_size
+
+
+@pytest.mark.parametrize("package", ["dpend", "controllers", "rl"])
+def test_every_public_name_is_in_the_reference(package):
+    page = (DOCS / f"reference/{package}.rst").read_text()
+    documented = re.findall(rf"^\.\. auto(?:class|function|data):: {package}\.(\w+)$", page, flags=re.MULTILINE)
+    listed = re.findall(r"^   (\w+)$", page, flags=re.MULTILINE)
+    assert set(importlib.import_module(package).__all__) == set(documented) == set(listed)
+
+
+NOT_ASKED_FOR = {
+    *("ES01", "EX01", "SA01"),  # more than a summary, examples, "see also": pages and chapters have them
+    *(
+        "PR01",
+        "RT01",
+        "RT03",
+    ),  # a method of one line names arguments and result there; sections are held to be whole below
+    *("PR03", "PR04"),  # a base class's fields come last, and are described there
+}
+"""What numpydoc's validation finds and the project does otherwise."""
+
+
+@pytest.mark.skipif(find_spec("numpydoc") is None, reason="needs the extra docs")
+@pytest.mark.parametrize("package", ["dpend", "controllers", "rl"])
+def test_what_is_public_is_documented_as_numpydoc_asks(package):
+    from numpydoc.validate import get_doc_object, validate
+
+    module, found = importlib.import_module(package), []
+    for name in module.__all__:
+        public = getattr(module, name)
+        if not (inspect.isclass(public) or inspect.isfunction(public)):
+            continue
+        members = vars(public).items() if inspect.isclass(public) else ()
+        methods = [f"{name}.{key}" for key, each in members if inspect.isfunction(each) and not key.startswith("_")]
+        for path in (f"{package}.{each}" for each in (name, *methods)):
+            target = attrgetter(path.removeprefix(f"{package}."))(module)
+            whole = {"PR01"} if get_doc_object(target)["Parameters"] else set()
+            found += [(path, *each) for each in validate(path)["errors"] if each[0] not in NOT_ASKED_FOR - whole]
+    assert not found, "\n".join(map(str, found))
+
+
+def test_the_page_of_environments_names_each_and_all_that_it_takes():
+    page = (DOCS / "reference/environments.md").read_text()
+    assert {name for name in gym.registry if name.startswith("dpend/")} == set(
+        re.findall(r"^\| `(dpend/\S+)`", page, re.M)
+    )
+    classes = dpend.env.CartDoublePendulumEnv, dpend.vector_env.CartDoublePendulumVectorEnv, Balance, SwingUp
+    taken = {name for each in classes for name in inspect.signature(each).parameters} - {"task"}
+    assert taken <= set(re.findall(r"`(\w+)`", page.partition("## Arguments")[2]))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("sphinx") is None or find_spec("numpydoc") is None, reason="needs the extra docs")
+def test_the_site_builds_without_a_warning(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "-n",
+        "-q",
+        "-d",
+        str(tmp_path / "trees"),
+        str(DOCS),
+        str(tmp_path),
+    ]
+    built = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert built.returncode == 0, built.stderr
+    assert (tmp_path / "learn/plant.html").exists()
