@@ -11,6 +11,7 @@ from operator import attrgetter
 from pathlib import Path
 
 import gymnasium as gym
+import numpy as np
 import pytest
 
 import dpend.env
@@ -31,14 +32,24 @@ def test_a_chapter_prints_what_it_shows(chapter):
     assert doctest.DocTestRunner().run(example, out=lines.append).failed == 0, "".join(lines)
 
 
+def run(page):
+    """Run the Python of a page from top to bottom."""
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(), flags=re.DOTALL)
+    exec(compile("\n".join(blocks), page, "exec"), {})
+
+
 def test_the_first_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "start.md").read_text(), flags=re.DOTALL)
-    exec(compile("\n".join(blocks), "start.md", "exec"), {})
+    run("start.md")
     balanced, fell, _ = capsys.readouterr().out.splitlines()
     assert balanced == dpend.Status.FULL_LENGTH.value
     assert fell == dpend.Status.LINK2_FELL.value  # as the page says of the law that knows nothing of the theory
     assert (tmp_path / "run.png").stat().st_size
+
+
+def test_the_loop_of_an_agent_ends_as_the_task_says(capsys):
+    run("reference/environments.md")
+    assert capsys.readouterr().out.strip() in {f"{dpend.Status[f'LINK{i}_FELL'].value} False" for i in (1, 2)}
 
 
 @pytest.mark.parametrize("package", ["dpend", "controllers", "rl"])
@@ -64,7 +75,7 @@ NOT_ASKED_FOR = {
 @pytest.mark.skipif(find_spec("numpydoc") is None, reason="needs the extra docs")
 @pytest.mark.parametrize("package", ["dpend", "controllers", "rl"])
 def test_what_is_public_is_documented_as_numpydoc_asks(package):
-    from numpydoc.validate import get_doc_object, validate
+    from numpydoc.validate import get_doc_object, validate  # pyright: ignore[reportMissingImports]  (extra docs)
 
     module, found = importlib.import_module(package), []
     for name in module.__all__:
@@ -78,6 +89,22 @@ def test_what_is_public_is_documented_as_numpydoc_asks(package):
             whole = {"PR01"} if get_doc_object(target)["Parameters"] else set()
             found += [(path, *each) for each in validate(path)["errors"] if each[0] not in NOT_ASKED_FOR - whole]
     assert not found, "\n".join(map(str, found))
+
+
+def test_every_command_that_is_listed_exists():
+    named = set(re.findall(r"`python -m ([\w.]+)", (DOCS / "reference/commands.md").read_text()))
+    assert named
+    assert all(find_spec(name) for name in named)
+
+
+def test_the_page_of_files_shows_a_rig_that_can_be_read_and_names_all_that_a_run_holds(tmp_path):
+    page = (DOCS / "reference/files.md").read_text()
+    (shown,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    (tmp_path / "shown.toml").write_text(shown)
+    rig = dpend.rig(str(tmp_path / "shown.toml"))
+    assert rig == dpend.rig("gustafsson2016")
+    with np.load(dpend.simulate(rig, lambda t, x: 0.0, np.zeros(6), duration=0.1).save(tmp_path / "run")) as run:
+        assert set(run) <= set(re.findall(r"`(\w+)`", page))
 
 
 def test_the_page_of_environments_names_each_and_all_that_it_takes():
