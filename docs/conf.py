@@ -6,8 +6,12 @@ import os
 import re
 import sys
 from pathlib import Path
+from pkgutil import resolve_name
 
+from docutils import nodes
+from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
 
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
@@ -111,7 +115,22 @@ def skip_member(_app: Sphinx, _what: str, _name: str, member: object, _skip: boo
     return True if (getattr(member, "__doc__", None) or "").startswith("Alias for field number") else None
 
 
+def text_of_inner_name(
+    _app: Sphinx, _env: BuildEnvironment, node: pending_xref, content: nodes.TextElement
+) -> nodes.TextElement | None:
+    """Let a name that exists but is not in the reference stand as text; one that does not exist stays a warning."""
+    target = node.get("reftarget", "")
+    if node.get("refdomain") != "py" or target.partition(".")[0] not in ("dpend", "controllers", "rl", "studies"):
+        return None
+    try:
+        resolve_name(target)
+    except (ImportError, AttributeError):
+        return None
+    return content
+
+
 def setup(app: Sphinx) -> None:
     """Register what this file adds to Sphinx."""
+    app.connect("missing-reference", text_of_inner_name)
     app.connect("source-read", read_source)
     app.connect("autodoc-skip-member", skip_member)
