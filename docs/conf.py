@@ -87,6 +87,8 @@ OUTSIDE = {
     "contributing": ROOT / "CONTRIBUTING.md",
     "changes": ROOT / "CHANGELOG.md",
     "benchmarks": ROOT / "benchmarks/README.md",
+    "security": ROOT / "SECURITY.md",
+    "code-of-conduct": ROOT / "CODE_OF_CONDUCT.md",
 }
 """Pages whose text stands elsewhere in the repository, where people look for it."""
 
@@ -105,7 +107,10 @@ def read_source(app: Sphinx, docname: str, source: list[str]) -> None:
         target = (folder / match["path"]).resolve()
         if "://" in match["path"] or not target.exists():
             return match[0]
-        return f"]({os.path.relpath(pages.get(target, target), here)}{match['anchor'] or ''})"
+        place = pages.get(target, target)
+        if not place.is_relative_to(ROOT / "docs"):
+            return f"](path:{os.path.relpath(place, here)})"  # no page: the file itself
+        return f"]({os.path.relpath(place, here)}{match['anchor'] or ''})"
 
     source[0] = re.sub(r"\]\((?P<path>[^)#\s]+)(?P<anchor>#[^)\s]*)?\)", moved, source[0])
 
