@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import math
@@ -404,6 +405,44 @@ def test_the_command_writes_the_page_or_says_what_is_wrong(
 
 # ----------------------------------------------------------------------------------------------------------- the server
 
+CHATTY = """
+import os
+import dpend
+
+
+class Chatty:
+    def __init__(self, rig: dpend.Rig) -> None:
+        self.limit = rig.force_limit
+
+    def start(self, n, rng):
+        def act(t, y):
+            print("to the terminal")
+            os.write(1, b"and past Python")
+            return [self.limit] * n
+
+        return act
+"""
+
+
+@pytest.mark.slow
+def test_a_process_answers_for_the_users_own_controller_whatever_that_prints(tmp_path: Path) -> None:
+    server = pytest.importorskip("studies.playground.server", reason="the server needs the extra web")
+    (tmp_path / "mine.py").write_text(CHATTY)
+
+    async def answers() -> list[Any]:
+        process = server.Process([f"{tmp_path / 'mine.py'}:Chatty"])
+        await process.start()
+        try:
+            messages = [described("Chatty", "LQR"), {"do": "advance", "n": 2}, {"do": "advance", "n": 99}]
+            return [json.loads(await process.ask(message)) for message in messages]
+        finally:
+            await process.end()
+
+    _, moved, refused = asyncio.run(answers())
+    assert moved["lanes"][0]["u"] == [40.0, 40.0]
+    assert refused == {"error": "n must be a number from 0 to 50; got 99."}
+
+
 websockets = pytest.importorskip("websockets.sync.client", reason="the server needs the extra web")
 ECHO = """
 import json, sys, time
@@ -473,7 +512,7 @@ def connected(server: Any, query: str = "", **headers: str) -> Any:
     )
 
 
-def told(socket: Any, message: Any) -> Any:
+def asked(socket: Any, message: Any) -> Any:
     socket.send(message if isinstance(message, str | bytes) else json.dumps(message))
     return json.loads(socket.recv(timeout=10))
 
@@ -488,7 +527,7 @@ def test_pages_of_other_hosts_and_other_names_of_this_one_are_refused(local: Any
     assert fetched(local, "/") == (200, "page")
     assert fetched(local, "/", **own)[0] == 200
     with connected(local, Origin=f"http://{at}") as socket:
-        assert "said" in told(socket, {"do": "advance"})
+        assert "said" in asked(socket, {"do": "advance"})
     for headers in ({"Host": f"evil.example:{local.port}"}, {"Host": "127.0.0.1:1"}, {"Host": ""},
                     {"Origin": "http://evil.example"}, {"Origin": "null"}, {"Origin": f"https://{at}"}):  # fmt: skip
         assert fetched(local, "/main.js", **headers)[0] == 403
@@ -504,7 +543,7 @@ def test_no_message_stops_the_server_or_another_visitor(local: Any) -> None:
     from websockets.exceptions import ConnectionClosed
 
     with connected(local) as one, connected(local) as other:
-        assert told(other, {"id": 7, "do": "advance", "n": 1}) == {"id": 7, "said": {"do": "advance", "n": 1}}
+        assert asked(other, {"id": 7, "do": "advance", "n": 1}) == {"id": 7, "said": {"do": "advance", "n": 1}}
         for nonsense in (
             "",
             "[]",
@@ -514,15 +553,15 @@ def test_no_message_stops_the_server_or_another_visitor(local: Any) -> None:
             '{"n": NaN}',
             b"\x00\xff",
         ):
-            assert "error" in told(one, nonsense)
+            assert "error" in asked(one, nonsense)
         one.send(json.dumps({"do": "advance", "n": 49}))  # hangs
-        assert told(other, {"id": 8, "do": "advance", "n": 1})["id"] == 8
+        assert asked(other, {"id": 8, "do": "advance", "n": 1})["id"] == 8
         assert json.loads(one.recv(timeout=10))["lost"] == "The controllers did not answer and were stopped."
-        assert "lost" in told(one, {"do": "advance", "n": 48})  # dies
-        assert told(one, {"id": 9, "do": "advance", "n": 1})["id"] == 9  # in a new process
+        assert "lost" in asked(one, {"do": "advance", "n": 48})  # dies
+        assert asked(one, {"id": 9, "do": "advance", "n": 1})["id"] == 9  # in a new process
         with pytest.raises(ConnectionClosed):
-            told(one, "x" * 10_000_000)
-        assert told(other, {"id": 10, "do": "advance", "n": 1})["id"] == 10
+            asked(one, "x" * 10_000_000)
+        assert asked(other, {"id": 10, "do": "advance", "n": 1})["id"] == 10
     assert fetched(local, "/")[0] == 200
 
 
@@ -530,7 +569,7 @@ def answered(socket: Any) -> bool:
     from websockets.exceptions import ConnectionClosed
 
     try:
-        return "said" in told(socket, {"do": "advance", "n": 1})
+        return "said" in asked(socket, {"do": "advance", "n": 1})
     except ConnectionClosed:  # refused before it could ask
         return False
 
@@ -566,7 +605,7 @@ def test_beyond_this_machine_only_those_who_know_the_token_are_served(serve: Cal
         with pytest.raises(InvalidStatus, match=r"HTTP 403$"), connected(server, query):
             pass
     with connected(server, f"?token={token}") as socket:
-        assert "said" in told(socket, {"do": "advance", "n": 1})
+        assert "said" in asked(socket, {"do": "advance", "n": 1})
 
 
 def test_nothing_listens_beyond_this_machine_unless_asked(local: Any) -> None:

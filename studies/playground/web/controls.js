@@ -16,10 +16,10 @@ const SAFE = Math.max(...CATALOGUE.saved.lambdas.filter((lam, i) => CATALOGUE.sa
 const TASKS = { balance: "Balance", "swing-up": "Swing up", none: "No task" };
 const SOURCES = { python: "in Python", tab: "in this tab" };
 
-/** Build the panel into two forms; told(name, value) hears of every choice. */
+/** Build the panel into two forms; chosen(name, value) is called at every choice. */
 export class Controls {
-    constructor(form, plant, scene, told) {
-        Object.assign(this, { scene, told, inputs: {}, outputs: {} });
+    constructor(form, plant, scene, chosen) {
+        Object.assign(this, { scene, chosen, inputs: {}, outputs: {} });
         for (const each of [form, plant]) each.addEventListener("submit", (event) => event.preventDefault());
         form.append(
             this.group(
@@ -107,7 +107,7 @@ export class Controls {
 
     choice(name, label, about) {
         const input = make("select", { id: name });
-        input.addEventListener("change", () => this.told(name, input.value));
+        input.addEventListener("change", () => this.chosen(name, input.value));
         this.inputs[name] = input;
         return this.labelled(input, label, about);
     }
@@ -118,7 +118,7 @@ export class Controls {
         output.htmlFor = name;
         input.addEventListener("input", () => {
             output.textContent = `${input.value} ${unit}`;
-            this.told(name, Number(input.value));
+            this.chosen(name, Number(input.value));
         });
         this.inputs[name] = input;
         this.outputs[name] = { output, unit };
@@ -134,7 +134,7 @@ export class Controls {
 
     press(name, label) {
         const button = make("button", { id: name, type: "button", textContent: label });
-        button.addEventListener("click", () => this.told(name));
+        button.addEventListener("click", () => this.chosen(name));
         this.inputs[name] = button;
         return button;
     }

@@ -29,8 +29,8 @@ export class Hands {
     }
 
     buttons() {
-        find("part").addEventListener("change", () => this.said());
-        find("strength").addEventListener("input", () => this.said());
+        find("part").addEventListener("change", () => this.showStrength());
+        find("strength").addEventListener("input", () => this.showStrength());
         for (const [id, sign] of Object.entries({ "push-left": -1, "push-right": 1 })) {
             const button = find(id);
             button.addEventListener("pointerdown", (event) => {
@@ -40,7 +40,7 @@ export class Hands {
             for (const end of ["pointerup", "pointercancel"]) button.addEventListener(end, () => this.release());
             button.addEventListener("click", (event) => event.detail === 0 && this.nudge(sign)); // by a key
         }
-        this.said();
+        this.showStrength();
     }
 
     get part() {
@@ -52,7 +52,7 @@ export class Hands {
         return Number(find("strength").value) * GENTLE[part];
     }
 
-    said() {
+    showStrength() {
         const strength = +this.strengthOn(this.part).toFixed(2);
         find("strength-out").textContent = `${strength} ${this.part === 0 ? "N" : "N m"}`;
     }
@@ -144,7 +144,7 @@ export class Hands {
                 if (!event.repeat) this.press(sign);
             } else if (event.key in PART_KEYS) {
                 find("part").value = PART_KEYS[event.key];
-                this.said();
+                this.showStrength();
             } else if (event.key === " " && !pressing) page.turn();
             else if (event.key === ".") page.single();
             else if (event.key === "r" || event.key === "R") page.begin();

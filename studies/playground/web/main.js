@@ -34,7 +34,7 @@ class Page {
         this.asking = false;
         this.frames = this.ticks = 0;
         this.controls = new Controls(find("controls"), find("plant"), this.scene, (name, value) =>
-            this.told(name, value),
+            this.choose(name, value),
         );
         this.bar();
         this.hands = new Hands(this, find("stage"));
@@ -58,7 +58,7 @@ class Page {
             this.scene.source === "tab"
                 ? new TabSource()
                 : new PythonSource(
-                      (why) => this.notice(why, true),
+                      (why) => this.notice(why),
                       () => this.resume(),
                   );
         this.begin();
@@ -93,14 +93,7 @@ class Page {
                 while (this.asking) await new Promise((resolve) => setTimeout(resolve, 1));
                 this.stale = false;
                 const { source, lanes } = this;
-                const waiting = setTimeout(
-                    () =>
-                        this.notice(
-                            GETTING_READY,
-                            true,
-                        ),
-                    1500,
-                );
+                const waiting = setTimeout(() => this.notice(GETTING_READY, true), 1500);
                 try {
                     const { rig, task, changes, seed } = this.scene;
                     const message = {
@@ -126,7 +119,7 @@ class Page {
                     this.ready = false;
                     if (source !== this.source) this.stale = true;
                     else if (error.gone) await new Promise((resolve) => setTimeout(resolve, 50));
-                    else this.notice(error.message, Boolean(error.lost));
+                    else this.notice(error.message);
                 } finally {
                     clearTimeout(waiting);
                 }
@@ -195,7 +188,7 @@ class Page {
         const { scene, lanes } = this,
             { drag } = this.hands;
         this.stage.draw({ scene, lanes, time: shown, drag: drag?.to && this.running ? drag : null });
-        if (this.recorder.take()) this.told("gif");
+        if (this.recorder.take()) this.choose("gif");
         if (all) {
             if (scene.copies === 1) drawPlots(find("plots"), lanes, shown);
             find("plots").hidden = scene.copies > 1;
@@ -221,10 +214,9 @@ class Page {
         this.since = { now, frames: this.frames, k: this.k };
     }
 
-    notice(text, passing = false) {
+    notice(text) {
         find("notice").textContent = text ?? "";
         find("notice").hidden = !text;
-        find("notice").dataset.passing = passing;
     }
 
     // -------------------------------------------------------------------------------------------------------- controls
@@ -234,7 +226,7 @@ class Page {
         if (!SPEEDS.some(([value]) => value === this.scene.speed))
             find("speed").append(new Option(`× ${this.scene.speed}`, this.scene.speed));
         find("speed").value = this.scene.speed;
-        find("speed").addEventListener("change", (event) => this.told("speed", Number(event.target.value)));
+        find("speed").addEventListener("change", (event) => this.choose("speed", Number(event.target.value)));
         find("play").addEventListener("click", () => this.turn());
         find("step").addEventListener("click", () => this.single());
         find("restart").addEventListener("click", () => this.begin());
@@ -265,7 +257,8 @@ class Page {
         this.clock = (this.k + 1) * this.rig.sample_time;
     }
 
-    told(name, value) {
+    /** Do what was chosen or pressed in the panel. */
+    choose(name, value) {
         const { scene } = this;
         if (name in scene.changes || (this.controls.outputs[name] && name !== "lam")) {
             scene.changes[name] = value;
