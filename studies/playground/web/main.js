@@ -69,7 +69,7 @@ class Page {
         const states = startStates(this.scene),
             rig = this.rig;
         this.k = this.clock = this.earlier = 0;
-        this.lanes = this.names.map((name) => new LaneRecord(lookOf(name), states, rig));
+        this.lanes = looksOf(this.names).map((look) => new LaneRecord(look, states, rig));
         this.describe();
     }
 
@@ -311,30 +311,30 @@ class Page {
 
     /** Put another controller in charge of a pendulum that goes on from where it stands, if it still does. */
     exchange(side, name) {
-        const i = side === "left" ? 0 : 1,
-            had = this.lanes[i],
-            states = had?.states ?? this.lanes[0].states;
+        const had = this.lanes[side === "left" ? 0 : 1] ?? this.lanes[0];
         this.scene[side] = name;
         if (!name) this.lanes = this.lanes.slice(0, 1);
-        else if (had?.ended || this.lanes[0].ended) return this.begin();
+        else if (had.ended || this.lanes[0].ended) return this.begin();
         else {
-            const lane = new LaneRecord(lookOf(name), states, this.rig);
-            this.lanes = i === 0 ? [lane, ...this.lanes.slice(1)] : [this.lanes[0], lane];
-            this.align();
+            // All records begin now, so that their curves share a clock.
+            const from = (i) => (this.lanes[i] ?? this.lanes[0]).states;
+            this.lanes = looksOf(this.names).map((look, i) => new LaneRecord(look, from(i), this.rig));
+            this.clock = Math.max(0, this.clock - this.k * this.rig.sample_time);
+            this.earlier += this.k;
+            this.k = 0;
         }
         return this.describe();
     }
-
-    /** Let all records begin now, so that their curves share a clock. */
-    align() {
-        this.lanes = this.lanes.map((lane) => new LaneRecord(lane.look, lane.states, this.rig));
-        this.clock = Math.max(0, this.clock - this.k * this.rig.sample_time);
-        this.earlier += this.k;
-        this.k = 0;
-    }
 }
 
-const lookOf = (name) => CATALOGUE.controllers.find((each) => each.name === name);
+/** Return how the named controllers look; the second never has the colour of the first. */
+function looksOf(names) {
+    const looks = names.map((name) => CATALOGUE.controllers.find((each) => each.name === name)),
+        [left, right] = looks;
+    if (right?.colour === left.colour)
+        looks[1] = { ...right, colour: left.colour === "#000000" ? "#777777" : "#000000" };
+    return looks;
+}
 
 /** For the console and for tests. */
 globalThis.playground = new Page();

@@ -10,8 +10,23 @@ export function themeOf(element) {
     return Object.fromEntries(["ink", "paper", "soft", "line", "push", "fallen"].map((name) => [name, read(name)]));
 }
 
-/** Return a contender's colour in a theme: black is the ink's. */
-export const inkOf = (look, theme) => (look.colour === "#000000" ? theme.ink : look.colour);
+const LEAST_CONTRAST = 3; // of lines, by the guidelines for accessible pages
+const parts = (colour) => [1, 3, 5].map((i) => parseInt(colour.slice(i, i + 2), 16) / 255);
+
+function luminance(rgb) {
+    const [r, g, b] = rgb.map((v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+}
+
+/** Return a contender's colour in a theme: black is the ink's, and what is too dark for a dark page is lightened. */
+export function inkOf(look, theme) {
+    if (look.colour === "#000000") return theme.ink;
+    if (theme.paper.length !== 7) return look.colour; // white
+    const ground = luminance(parts(theme.paper));
+    let rgb = parts(look.colour);
+    while ((luminance(rgb) + 0.05) / (ground + 0.05) < LEAST_CONTRAST) rgb = rgb.map((v) => v + 0.1 * (1 - v));
+    return `rgb(${rgb.map((v) => Math.round(255 * v)).join()})`;
+}
 
 /** Return a canvas pattern of dashes for matplotlib's name of a line. */
 export function dashesOf(line) {
