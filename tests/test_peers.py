@@ -1,19 +1,24 @@
-"""Independent engines, built from the same ``Params``, agree with this package."""
+"""Independent engines, built from the same ``Params``, agree with this package, and the table says how closely."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import dpend
 from benchmarks.peers import designs, dynamics, environments
+from benchmarks.peers.__main__ import PARTS, STATES
 from benchmarks.peers.cases import Row, any_forces, any_params, any_states, error, row
 from benchmarks.peers.engines import ENGINES, installed
+from benchmarks.peers.table import markdown, read
 from benchmarks.relative import absolute, forces_to_relative, from_relative, to_relative
+
+ROOT = Path(__file__).parent.parent
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # of other people's packages, which are not ours to mend
 
@@ -96,3 +101,14 @@ def test_an_error_that_is_no_number_is_no_agreement() -> None:
     found = row("states", "engine", error([[1.0], [np.nan]], [[1.0], [2.0]]), 1e-9)
     assert found.cases == 2
     assert found.worst > found.tolerance
+
+
+def test_the_table_in_the_docs_is_that_of_its_rows_and_all_of_it_agrees() -> None:
+    rows = read(ROOT / "docs/results/peers/rows.csv")
+    assert markdown(rows) in (ROOT / "docs/trust.md").read_text()
+    assert set(rows["part"]) >= set(PARTS) - {"motions"}
+    for line in rows.to_dict("records"):
+        assert line["cases"] >= 900, line
+        least = 1000 * (STATES if line["quantity"].startswith("accelerations") else 1)
+        assert line["cases"] + line["unanswered"] >= least, line
+        assert line["worst"] <= line["tolerance"], line

@@ -22,6 +22,8 @@ from benchmarks.relative import (
 from dpend import Params
 from dpend.params import Array
 
+TOLERANCE = 1e-11
+
 pinocchio: Any = import_module("pinocchio")  # it has no types
 
 
@@ -89,7 +91,7 @@ class Pinocchio:
         return slopes(A, B)
 
     def trajectory(self, x0: Array, u: Array, hold: float) -> Array:
-        """See :class:`Engine`; it has no integrator, so DOP853 of scipy integrates, to 1e-12."""
+        """See :class:`Engine`; it has no integrator, so DOP853 of scipy integrates."""
         states = [np.asarray(x0, dtype=np.float64)]
         now = np.concatenate(to_relative(x0))
         tau = np.zeros(3)
@@ -103,6 +105,6 @@ class Pinocchio:
                 tau[0] += force + (0.0 if no_coulomb else float(coulomb(self.params, v[0])))
                 return np.concatenate([v, pinocchio.aba(self.model, self.data, y[:3], v, tau)])
 
-            now = solve_ivp(slope, (0.0, hold), now, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+            now = solve_ivp(slope, (0.0, hold), now, method="DOP853", rtol=TOLERANCE, atol=TOLERANCE).y[:, -1]
             states.append(from_relative(now[:3], now[3:]))
         return np.stack(states)

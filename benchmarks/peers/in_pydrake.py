@@ -23,7 +23,7 @@ from dpend.params import Array
 
 drake: Any = import_module("pydrake.all")  # its types are not for every release of Python
 
-ACCURACY = 1e-11
+ACCURACY = 1e-9
 
 
 class Drake:
