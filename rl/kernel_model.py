@@ -26,10 +26,16 @@ from controllers.ilqr import Model
 from dpend.kernels import cos, inline, sin
 from dpend.params import Array
 
-from .harmonic import Transitions
-
 _POINTS, _MOST = 300, 1200  # transitions for the marginal likelihood, and for the posterior
 _JITTER = 1e-3  # least noise, as a share of the changes
+
+
+class Transitions(NamedTuple):
+    """Measured states, the forces held from each for a sample, and the states measured after it."""
+
+    x: Array
+    u: Array
+    after: Array
 
 
 class Priors(NamedTuple):

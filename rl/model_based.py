@@ -22,20 +22,24 @@ from threadpoolctl import threadpool_limits
 
 import dpend
 from controllers.ilqr import ILQRMPC
+from controllers.wrapping import log_of, with_logs
 from dpend.controller import Act
 from dpend.params import Array, Params
 from dpend.rig import Rig, single_rig
 from dpend.run import Run
+from dpend.state import wrap
 from dpend.suggest import suggests
 from dpend.tasks import SwingUp
 
-from .harmonic import HarmonicModel, Tracker, Transitions
-from .kernel_model import KernelModel, Priors
+from . import joint_fit
+from .harmonic import HarmonicModel
+from .kernel_model import KernelModel, Priors, Transitions
 from .policies import Saved
 from .settings import Nonnegative, Positive, Whole, check_settings
 from .training import Outcome, Progress, Seed, Session, Training
 
 _STREAM = 2011  # sets learning apart from starts drawn with the same seed
+_DOUBT = 2.0  # times the standard deviation that a model states, which proves too small by about so much
 _REACH, _TIP = 0.5, 0.1  # m: of the cart from the middle, and of the tip from upright, where a swing-up has settled
 
 
@@ -89,14 +93,20 @@ class ModelPolicy(Saved):
         """Return the same policy with a provenance."""
         return type(self)(self.model, about=about, **{name: getattr(self, name) for name in self.saved})
 
-    @property
-    def adapting(self) -> Any:
-        """The same policy, its model updated in every sample; itself, if its model cannot be."""
-        return _Adapting(self) if isinstance(self.model, HarmonicModel) else self
-
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for one run."""
-        return self.planner.start(n, rng)
+        law = self.planner.start(n, rng)
+        if not isinstance(self.model, HarmonicModel):
+            return law
+        follow, limit, force = kalman(self.model), self.force_limit, 0.0
+
+        def act(t: float, y: Array) -> Array:
+            nonlocal force
+            u = law(t, follow(y[0], force)[None])
+            force = float(np.clip(u[0], -limit, limit))
+            return u
+
+        return with_logs(act, log_of(law))
 
     def uncertainty(self, x: npt.ArrayLike, u: npt.ArrayLike) -> Array:
         """Return the standard deviations (N, 3) of the accelerations believed in states (N, 6) under forces (N,)."""
@@ -116,30 +126,35 @@ class ModelPolicy(Saved):
         return cls(model, about=about, **settings)
 
 
-class _Adapting:
-    """A policy whose model goes on learning while it acts, in each run for itself."""
+def kalman(model: HarmonicModel) -> Callable[[Array, float], Array]:
+    """Return the extended Kalman filter of a model: from a measured state (6,) and the force before it to an estimate.
 
-    batched = False
+    The motion strays from the model by what this is unsure of.
+    """
+    plan, h, noise = model.model, model.sample_time, np.diag(model.sensor_noise**2)
+    pushes, D = np.concatenate([h**2 / 2 * np.eye(3), h * np.eye(3)]), np.empty((1, 6, 8))
+    mean, covariance = np.full(6, math.nan), noise
 
-    def __init__(self, policy: ModelPolicy) -> None:
-        self.policy = policy
+    def follow(y: Array, force: float) -> Array:
+        nonlocal mean, covariance
+        plan.loops.linearize(np.stack([mean, mean]), np.array([force]), plan.parameters, D)
+        predicted, A = mean + D[0, :, 7], D[0, :, :6]
+        with np.errstate(all="ignore"):  # what is lost is begun again
+            doubt = _DOUBT * model.uncertainty(mean[None], np.array([force]))[0]
+            P = A @ covariance @ A.T + (pushes * doubt**2) @ pushes.T
+        if not (np.isfinite(predicted).all() and np.isfinite(P).all()):
+            mean, covariance = y.copy(), noise
+        elif not np.isfinite(y).all():
+            mean, covariance = predicted, P
+        else:
+            gain = np.linalg.solve(P + noise, P).T
+            off = y - predicted
+            off[1:3] = wrap(off[1:3])
+            mean, covariance = predicted + gain @ off, P - gain @ P
+            covariance = (covariance + covariance.T) / 2
+        return mean
 
-    def start(self, n: int, rng: np.random.Generator) -> Act:
-        """Return the law for one run."""
-        law: Any = self.policy.start(n, rng)
-        tracker, limit = Tracker(self.policy.model), self.policy.force_limit
-        last: tuple[Array, float] | None = None
-
-        def act(t: float, y: Array) -> Array:
-            nonlocal last
-            if last is not None:
-                tracker.update(*last, y[0])
-                law.follow(tracker.parameters)
-            force = law(t, y)
-            last = y[0].copy(), float(np.clip(force[0], -limit, limit))
-            return force
-
-        return act
+    return follow
 
 
 class RandomForces:
@@ -225,8 +240,6 @@ def practise(
     policy: Policy | None = None
     while len(runs) < learner.episodes and session.left > 0 and not (len(success) >= streak and all(success[-streak:])):
         law: Any = RandomForces(rig) if policy is None else policy
-        if getattr(learner, "online", False):
-            law = getattr(law, "adapting", law)
         steps = min(task.steps if policies else first, session.left)
         x0 = task.starts(session.rng, 1, rig)[0]
         seed = int(session.rng.integers(2**31))
@@ -284,8 +297,8 @@ class ModelBased:
     structure : bool
         That accelerations are affine in the force and quadratic in the rates, with coefficients that depend on the
         angles; needs the first three.
-    online : bool
-        Whether the model is updated within an episode, too, sample by sample; with structure only.
+    gravity : bool
+        That gravity alone tells up from down: half a turn of everything reverses it, and nothing else; needs structure.
     episode_seconds : float
         Length of an episode, s.
     angle_spread : float
@@ -302,7 +315,7 @@ class ModelBased:
     cart_invariance: bool = True
     mirror: bool = True
     structure: bool = True
-    online: bool = False
+    gravity: bool = True
     episode_seconds: Positive = 5.0
     angle_spread: Nonnegative = 0.1
     episodes: Whole = 12
@@ -315,6 +328,10 @@ class ModelBased:
             raise ValueError(
                 "structure is stated in angles, accelerations and no position: expected it to be False without angles, "
                 "second_order and cart_invariance; got True."
+            )
+        if self.gravity and not self.structure:
+            raise ValueError(
+                "gravity is stated of the coefficients of the structure: expected it to be False without; got True."
             )
 
     @property
@@ -335,11 +352,11 @@ class ModelBased:
         settings = {"sample_time": h, "force_limit": self.rig.force_limit, "track_limit": self.rig.track_limit}
 
         def fit(runs: list[Run], policy: ModelPolicy | None) -> ModelPolicy:
-            data, before = transitions(runs), None if policy is None else policy.model
+            before: Any = None if policy is None else policy.model
             model: Any = (
-                HarmonicModel.fit(data, h, self.mirror, rng, before)
+                joint_fit.fit([joint_fit.Episode(run.y, run.u) for run in runs], h, self.mirror, self.gravity, before)
                 if self.structure
-                else KernelModel.fit(data, h, priors, rng, before)
+                else KernelModel.fit(transitions(runs), h, priors, rng, before)
             )
             return ModelPolicy(model, **settings)
 

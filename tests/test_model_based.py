@@ -3,44 +3,44 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from rigs import random_states, whole
-from scipy.linalg import cho_solve
+from rigs import random_params, random_states, row, whole
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import dpend
 from dpend.params import Array
-from rl import IdentifyAndPlan, ModelBased, ModelPolicy, Outcome, harmonic, kernel_model, load_policy
-from rl.harmonic import HarmonicModel, Tracker, Transitions
+from rl import IdentifyAndPlan, ModelBased, ModelPolicy, Outcome, harmonic, joint_fit, kernel_model, load_policy
+from rl.harmonic import HarmonicModel, Posterior
+from rl.joint_fit import Episode
 from rl.kernel_model import KernelModel, Priors
-from rl.model_based import RandomForces, settled, transitions
+from rl.model_based import RandomForces, kalman, settled
 
 RIG = dpend.rig("pilco2011")
 H = RIG.sample_time
 ALL = Priors(True, True, True, True)
 
 
-def moved(episodes: int, seed: int, rig: dpend.Rig = RIG) -> Transitions:
-    """Return transitions of episodes of random forces from hanging."""
+def moved(episodes: int, seed: int) -> list[dpend.Run]:
+    """Return episodes of random forces from hanging."""
     task = dpend.SwingUp(angle_spread=0.1, steps=100)
-    starts = task.starts(np.random.default_rng(seed), episodes, rig)
-    runs = dpend.simulate_many(rig, RandomForces(rig), starts, task=task, seed=seed, record=True)
-    return transitions([runs[i] for i in range(episodes)])
+    starts = task.starts(np.random.default_rng(seed), episodes, RIG)
+    runs = dpend.simulate_many(RIG, RandomForces(RIG), starts, task=task, seed=seed, record=True)
+    return [runs[i] for i in range(episodes)]
 
 
-def random_harmonic(mirror: bool, rng: np.random.Generator) -> HarmonicModel:
+def random_harmonic(mirror: bool, rng: np.random.Generator, gravity: bool = False) -> HarmonicModel:
     """Return a model drawn from the prior."""
-    hyper = np.tile(np.concatenate([np.log([1.2, 2.0, 1.0]), np.full(11, -0.5), [-1.0]]), (3, 1))
-    std = np.sqrt([harmonic._variances(row, mirror) for row in hyper])
-    inputs = np.column_stack([random_states(rng, 20), rng.uniform(-5, 5, 20)])
-    excess = rng.uniform(1, 3, (20, 3))
-    weights = std * rng.standard_normal(std.shape)
-    return HarmonicModel(weights=weights, hyper=hyper, inputs=inputs, excess=excess, sample_time=H, mirror=mirror)
+    hyper, outputs = np.concatenate([np.log([1.2, 2.0, 1.0]), np.full(11, -0.5)]), []
+    for d in range(3):
+        columns = np.flatnonzero(harmonic.allowed(d, mirror, gravity))
+        variances = harmonic.variances(hyper, mirror)[0][columns]
+        mean = np.sqrt(variances) * rng.standard_normal(len(columns))
+        outputs.append(Posterior(columns, mean, np.diag(variances), hyper))
+    return HarmonicModel(outputs=tuple(outputs), sensor_noise=np.full(6, 0.01), sample_time=H, mirror=mirror)
 
 
 def random_kernels(priors: Priors, rng: np.random.Generator) -> KernelModel:
@@ -106,96 +106,125 @@ def test_a_model_is_what_its_arrays_say(build: Any) -> None:
 def test_the_harmonics_stand_for_the_kernel_of_sine_and_cosine(mirror: bool) -> None:
     rng = np.random.default_rng(0)
     x, u = random_states(rng, 30), rng.uniform(-3, 3, 30)
-    hyper = np.concatenate([np.log([1.2, 2.0, 1.0]), rng.normal(0, 0.3, 11), [0.0]])
-    features = harmonic._features(x, u, mirror)
-    assert features.shape[1] == (928 if mirror else 1859)
+    hyper = np.concatenate([np.log([1.2, 2.0, 1.0]), rng.normal(0, 0.3, 11)])
+    features = harmonic.features(x, u, mirror)
+    assert features.shape[1] == (1115 if mirror else 2233)
 
     def kernel(sign: float) -> Array:
-        angles = zip(harmonic.three_angles(x).T, np.exp(2 * hyper[:3]), strict=True)
+        angles = zip((x[:, 1], x[:, 2], x[:, 1] - x[:, 2]), np.exp(2 * hyper[:3]), strict=True)
         theta = sum((np.cos(angle[:, None] - sign * angle) - 1) / squared for angle, squared in angles)
         q, other = harmonic.products(x[:, 3:], u), harmonic.products(sign * x[:, 3:], sign * u)
-        return np.exp(theta) * ((q * np.exp(2 * hyper[3:-1])) @ other.T)
+        return np.exp(theta) * ((q * np.exp(2 * hyper[3:])) @ other.T)
 
     wanted = (kernel(1.0) - kernel(-1.0)) / 2 if mirror else kernel(1.0)
-    found = (features * harmonic._variances(hyper, mirror)) @ features.T
+    found = (features * harmonic.variances(hyper, mirror)[0]) @ features.T
     assert_allclose(found, wanted, rtol=0, atol=1e-4 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("mirror", [True, False])
-@pytest.mark.parametrize("kind", ["harmonic", "kernel"])
+@pytest.mark.parametrize("known", [True, False])
+def test_half_a_turn_of_everything_reverses_gravity_alone_for_plants_and_for_models_that_know(known: bool) -> None:
+    rng = np.random.default_rng(0)
+    model, params = random_harmonic(False, rng, gravity=known), random_params(rng, 1)
+    x, u = random_states(rng, 20), rng.uniform(-3, 3, 20)
+    about = x * [-1, 1, 1, -1, 1, 1] + [0, math.pi, math.pi, 0, 0, 0]
+    still = x * [0, 1, 1, 0, 0, 0]
+    for accelerations in (model.accelerations, lambda x, u: dpend.rates(x, u, row(params, 0))[:, 3:]):
+        wanted = (accelerations(x, u) - 2 * accelerations(still, 0 * u)) * [-1, 1, 1]
+        same = np.allclose(accelerations(about, -u), wanted, rtol=0, atol=1e-8)
+        assert same == (known or accelerations != model.accelerations)
+
+
+@pytest.mark.parametrize("rows", [20, 80])
 def test_the_slopes_of_the_marginal_likelihood_are_those_of_finite_differences(
-    kind: str, mirror: bool, monkeypatch: pytest.MonkeyPatch
+    rows: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(0)
+    some = np.flatnonzero(joint_fit.variances(np.zeros(14), True)[0] > 1e-4)  # others are lost in rounding
+    columns = [np.sort(rng.permutation(some)[:15]) for _ in range(3)]
+    parts = [slice(15 * d, 15 * d + 15) for d in range(3)]
+    center = np.tile(np.concatenate([np.log([1.2, 2.0, 1.0]), rng.normal(-1, 0.3, 11)]), (3, 1))
+    stds = [np.sqrt(harmonic.variances(center[0], True)[0][own]) for own in columns]
+    regression = joint_fit._Regression([(rng.standard_normal((rows, 45)), rng.standard_normal(rows))])
+    captured(
+        monkeypatch,
+        joint_fit,
+        lambda: joint_fit._likeliest(
+            regression, list(center + 0.3), center, joint_fit._Basis(columns, stds, parts), True
+        ),
+    )
+
+
+@pytest.mark.parametrize("mirror", [True, False])
+def test_the_slopes_of_the_marginal_likelihood_of_kernels_are_those_of_finite_differences(
+    mirror: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(0)
     x, u, y = random_states(rng, 25), rng.uniform(-3, 3, 25), rng.standard_normal(25)
+    z = kernel_model._inputs(x, u, priors := Priors(True, True, False, mirror))
+    center = np.append(np.full(z.shape[1], 0.7), [0.3, -1.0])
+    captured(monkeypatch, kernel_model, lambda: kernel_model._most_likely(z, y, priors, center, center + 0.3))
+
+
+def captured(monkeypatch: pytest.MonkeyPatch, module: Any, search: Any) -> None:
+    """Hold the slopes of the loss that a search minimizes to differences of it."""
     seen: list[Any] = []
 
     def capture(loss: Any, start: Array, **_: Any) -> Any:
         seen.append((loss, start))
         raise StopIteration
 
-    module: Any = harmonic if kind == "harmonic" else kernel_model
     monkeypatch.setattr(module, "minimize", capture)
-    if kind == "harmonic":
-        center = np.concatenate([np.log([1.2, 2.0, 1.0]), rng.normal(-1, 0.3, 11), [-1.0]])
-        q, excess = harmonic.products(x[:, 3:], u), rng.uniform(1, 3, 25)
-        arguments: Any = (harmonic.three_angles(x), q, y, excess, mirror, center, center + 0.3)
-    else:
-        z = kernel_model._inputs(x, u, priors := Priors(True, True, False, mirror))
-        center = np.append(np.full(z.shape[1], 0.7), [0.3, -1.0])
-        arguments = (z, y, priors, center, center + 0.3)
     with pytest.raises(StopIteration):
-        module._most_likely(*arguments)
+        search()
     ((loss, start),) = seen
     d = 1e-5
     differences = [(loss(start + d * e)[0] - loss(start - d * e)[0]) / (2 * d) for e in np.eye(len(start))]
     assert_allclose(loss(start)[1], differences, rtol=1e-5, atol=1e-6)
 
 
-def test_what_a_model_is_unsure_of_covers_fields_drawn_from_its_prior() -> None:
+def test_both_ways_of_regression_give_the_same_posterior() -> None:
     rng = np.random.default_rng(0)
-    truth = random_harmonic(True, rng)
-    x, u = random_states(rng, 400), rng.uniform(-5, 5, 400)
-    seen, new = slice(0, 250), slice(250, 400)
-    features, noise = harmonic._features(x, u, True), math.exp(2 * truth.hyper[0, -1])
-    weights = np.empty_like(truth.weights)
-    for d in range(3):
-        scale = np.sqrt(harmonic._variances(truth.hyper[d], True))
-        known, y = features[seen] * scale, features[seen] @ truth.weights[d] + math.sqrt(noise) * rng.normal(size=250)
-        weights[d] = scale * cho_solve((harmonic._factor(known, np.full(250, noise)), True), known.T @ y / noise)
-    belief = HarmonicModel(weights=weights, hyper=truth.hyper, inputs=np.column_stack([x, u])[seen],
-                           excess=np.ones((250, 3)), sample_time=H, mirror=True)  # fmt: skip
-    off = (belief.accelerations(x[new], u[new]) - features[new] @ truth.weights.T) / belief.uncertainty(x[new], u[new])
-    assert 0.90 < (np.abs(off) < 1.96).mean() < 0.985
+    X, z, ratio = rng.standard_normal((30, 40)), rng.standard_normal(30), rng.uniform(0.5, 2, 40)
+    wide = joint_fit._Regression([(X[:10], z[:10]), (X[10:], z[10:])])
+    tall = joint_fit._Regression(
+        [(X, z), (np.zeros((30, 40)), np.zeros(30))]
+    )  # more rows than weights, which say nothing
+    (_, mean, spread, half), (_, *wanted, root) = wide.posterior(ratio), tall.posterior(ratio)
+    assert not wide.tall
+    assert tall.tall
+    assert_allclose(mean, wanted[0], rtol=0, atol=1e-12)
+    assert_allclose(spread, wanted[1], rtol=0, atol=1e-12)
+    part = slice(3, 9)
+    assert_allclose(wide.covariance(half, part), tall.covariance(root, part), rtol=0, atol=1e-12)
 
 
-def test_a_model_updated_sample_by_sample_is_the_one_fitted_to_all() -> None:
+def test_the_correlation_of_neighbouring_samples_is_that_of_the_noise_they_share() -> None:
     rng = np.random.default_rng(0)
-    belief = replace(random_harmonic(True, rng), sample_time=1e-6)  # so short that a sample is its middle
-    x, u = random_states(rng, 30), rng.uniform(-5, 5, 30)
-    data = Transitions(x, u, x + 1e-6 * rng.standard_normal((30, 6)))
-    mid = harmonic.middles(data, 1e-6)
-    features, gained = harmonic._features(mid, u, True), (data.after - x)[:, 3:] / 1e-6
-    excess = np.full((30, 3), 2.0)  # one and the slope of a rate by itself
-    weights, _, _ = harmonic._posterior(data, mid, gained, np.full(3, 1e9), features, belief.hyper, excess, 1e-6, True)
-    tracker = Tracker(
-        replace(belief, weights=np.zeros_like(weights), inputs=np.zeros((1, 7)), excess=np.full((1, 3), 1e15))
-    )
-    for sample in zip(x, u, data.after, strict=True):
-        tracker.update(*sample)
-    wanted = replace(belief, weights=weights).parameters.field
-    assert_allclose(tracker.parameters.field.sines, wanted.sines, rtol=0, atol=1e-3 * np.abs(wanted.sines).max())
-    assert_allclose(tracker.parameters.field.cosines, wanted.cosines, rtol=0, atol=1e-3 * np.abs(wanted.cosines).max())
+    A, variance, process = rng.standard_normal((4, 6, 6)), rng.uniform(0.5, 2, 6), rng.uniform(0.1, 1, 3)
+    G = np.zeros((24, 30))
+    for k in range(4):
+        G[6 * k : 6 * k + 6, 6 * k : 6 * k + 12] = np.hstack([-A[k], np.eye(6)])
+    wanted = (G * np.tile(variance, 5)) @ G.T + np.diag(np.tile(np.append(np.zeros(3), process**2), 4))
+    band = joint_fit._correlated(A, variance, process)
+    L = np.sum([np.diag(row[: 24 - i], -i) for i, row in enumerate(band)], axis=0)
+    assert_allclose(L @ L.T, wanted, rtol=0, atol=1e-9 * wanted.max())
 
 
 @pytest.mark.slow
-def test_noise_is_found_at_its_true_size_and_the_equations_within_the_error_stated() -> None:
-    data, fresh = moved(4, seed=1), moved(1, seed=2, rig=RIG.replace(sensor_noise=0.0))
-    belief = HarmonicModel.fit(data, H, True, np.random.default_rng(0), None)
-    assert_allclose(belief.noise, 0.01, rtol=0.3)
-    wanted = dpend.rates(fresh.x, fresh.u, RIG.params)[:, 3:]
-    off = (belief.accelerations(fresh.x, fresh.u) - wanted) / belief.uncertainty(fresh.x, fresh.u)
-    assert 0.3 < np.sqrt(np.mean(off**2)) < 1.7
+def test_what_is_learned_of_hanging_links_and_noisy_sensors_holds_upright() -> None:
+    (run,) = moved(1, seed=1)
+    rng = np.random.default_rng(2)
+    upright, u = rng.uniform(-0.15, 0.15, (200, 6)), rng.uniform(-5, 5, 200)
+    wanted = dpend.rates(upright, u, RIG.params)[:, 3:]
+    believed, blind = (joint_fit.fit([Episode(run.y, run.u)], H, True, known, None) for known in (True, False))
+    assert_allclose(believed.sensor_noise, 0.01, rtol=0.6)
+    off = believed.accelerations(upright, u) - wanted
+    assert np.sqrt(np.mean(off**2)) < 0.03 * np.sqrt(np.mean(wanted**2))
+    assert np.sqrt(np.mean((off / believed.uncertainty(upright, u)) ** 2)) < 3
+    assert np.sqrt(np.mean((blind.accelerations(upright, u) - wanted) ** 2)) > 0.3 * np.sqrt(np.mean(wanted**2))
+    follow, given = kalman(believed), np.append(0.0, run.u)
+    estimates = np.array([follow(y, force) for y, force in zip(run.y, given, strict=True)])
+    assert np.mean((estimates - run.x)[20:] ** 2) < 0.5 * np.mean((run.y - run.x)[20:] ** 2)
 
 
 # ------------------------------------------------------------------------------------------------------------- learners
@@ -214,10 +243,11 @@ def test_settled_asks_for_the_cart_and_the_tip_over_the_last_second() -> None:
 
 
 def test_random_forces_keep_to_the_limit_and_the_cart_near_the_middle() -> None:
-    data = moved(4, seed=0)
-    assert np.abs(data.u).max() <= RIG.force_limit
-    assert data.u.std() > 0.2 * RIG.force_limit
-    assert np.abs(data.x[:, 0]).max() < 4.0
+    runs = moved(4, seed=0)
+    forces = np.concatenate([run.u for run in runs])
+    assert np.abs(forces).max() <= RIG.force_limit
+    assert forces.std() > 0.2 * RIG.force_limit
+    assert max(np.abs(run.x[:, 0]).max() for run in runs) < 4.0
 
 
 def test_a_model_is_fitted_on_one_thread_and_the_callers_number_stays() -> None:
@@ -226,7 +256,9 @@ def test_a_model_is_fitted_on_one_thread_and_the_callers_number_stays() -> None:
 
     seen: list[set[int]] = []
     with threadpool_limits(2, "blas"):
-        ModelBased(RIG, structure=False, episodes=1).train(0, seconds=1.0, progress=lambda _: seen.append(threads()))
+        ModelBased(RIG, structure=False, gravity=False, episodes=1).train(
+            0, seconds=1.0, progress=lambda _: seen.append(threads())
+        )
         assert {1} in seen
         assert threads() == {2}
 
@@ -235,7 +267,7 @@ def test_a_model_is_fitted_on_one_thread_and_the_callers_number_stays() -> None:
 def test_a_minute_of_experience_swings_up(tmp_path: Any) -> None:
     training = ModelBased(RIG, streak=2).train(1000)
     assert training.outcome is Outcome.CONVERGED
-    assert training.experience <= 60
+    assert training.experience <= 30
     assert_array_equal(training.curve["success"][-2:], True)
     assert_allclose(training.details["noise"][-1], 0.01, rtol=0.3)
     short = ModelBased(RIG, streak=2).train(1000, seconds=7.0)  # the same, cut short
@@ -270,6 +302,8 @@ def test_two_seconds_of_motion_and_the_equations_swing_up(preset: str) -> None:
         (ModelBased, {"angles": False},
          "structure is stated in angles, accelerations and no position: expected it to be False without angles, "
          "second_order and cart_invariance; got True."),
+        (ModelBased, {"structure": False},
+         "gravity is stated of the coefficients of the structure: expected it to be False without; got True."),
         (ModelBased, {"episodes": 0}, "episodes must be a whole number, at least 1; got 0."),
         (IdentifyAndPlan, {"unknown": 1.0}, "unknown must be at least 0 and below 1; got 1.0."),
         (IdentifyAndPlan, {"motion": 0.5}, "motion must be at least 1 s; got 0.5."),
