@@ -22,7 +22,6 @@ from threadpoolctl import threadpool_limits
 
 import dpend
 from controllers.ilqr import ILQRMPC
-from controllers.wrapping import log_of, with_logs
 from dpend.controller import Act
 from dpend.params import Array, Params
 from dpend.rig import Rig, single_rig
@@ -96,17 +95,7 @@ class ModelPolicy(Saved):
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for one run."""
         law = self.planner.start(n, rng)
-        if not isinstance(self.model, HarmonicModel):
-            return law
-        follow, limit, force = kalman(self.model), self.force_limit, 0.0
-
-        def act(t: float, y: Array) -> Array:
-            nonlocal force
-            u = law(t, follow(y[0], force)[None])
-            force = float(np.clip(u[0], -limit, limit))
-            return u
-
-        return with_logs(act, log_of(law))
+        return _Filtered(law, self.model, self.force_limit) if isinstance(self.model, HarmonicModel) else law
 
     def uncertainty(self, x: npt.ArrayLike, u: npt.ArrayLike) -> Array:
         """Return the standard deviations (N, 3) of the accelerations believed in states (N, 6) under forces (N,)."""
@@ -124,6 +113,19 @@ class ModelPolicy(Saved):
         built: Any = {each.kind: each for each in (HarmonicModel, KernelModel)}[str(arrays.pop("model"))]
         model = built.from_arrays(**{name.removeprefix("model_"): value for name, value in arrays.items()})
         return cls(model, about=about, **settings)
+
+
+class _Filtered:
+    """A law on the states that a model's filter estimates, with that law's own log."""
+
+    def __init__(self, law: Any, model: HarmonicModel, limit: float) -> None:
+        self.log = law.log
+        self._law, self._follow, self._limit, self._force = law, kalman(model), limit, 0.0
+
+    def __call__(self, t: float, y: Array) -> Array:
+        force = self._law(t, self._follow(y[0], self._force)[None])
+        self._force = float(np.clip(force[0], -self._limit, self._limit))
+        return force
 
 
 def kalman(model: HarmonicModel) -> Callable[[Array, float], Array]:
