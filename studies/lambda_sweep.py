@@ -2,7 +2,7 @@
 
 Method: every contender that balances does so on gustafsson2016, or another ``--rig``, from θ1, θ2 ~ U[-λ, λ] for 300
 samples; neither link may fall. All λ share their directions. The k-th training of a learner has the k-th part of the
-starts, 100 each as in the report; deep learners come as shipped, one training; iLQR MPC and SDRE get the first fifth of
+starts, 100 each as in the report; deep learners come as shipped, one training; iLQR MPC and SDRE get the first tenth of
 the starts, with ``--all`` every one, and NMPC some. Intervals are 95 %: Wilson's, of learners Student's over trainings.
 λ50 and λ90 are where the curve falls to a half and to nine tenths, best known are the starts that studies.recoverable
 or any contender saves; maps show from which angles at rest each saves it.
@@ -122,16 +122,16 @@ class Options(_field.Options):
         if contender.cost is not Cost.CHEAP:
             return min(whole, 2 if self.quick else contender.cost.runs(self.part_of))
         if contender.name in LONG:
-            return min(whole if self.all else Cost.MODERATE.runs(whole), _ENOUGH)
+            return min(whole if self.all else -(-whole // 10), _ENOUGH)
         return min(whole, _ENOUGH) if contender.policy else whole
 
     def side(self, contender: Contender) -> int:
         """Return the points on a side of a contender's map; none where it takes too long."""
         if contender.cost is not Cost.CHEAP:
             return round(math.sqrt(contender.cost.value) * self.basins) if self.all and not self.quick else 0
-        if self.quick:
-            return min(self.basins, 5)
-        return self.basins if self.all or contender.name not in LONG else (self.basins + 1) // 2
+        if contender.name in LONG and not self.all:
+            return 0
+        return min(self.basins, 5) if self.quick else self.basins
 
 
 @dataclass(frozen=True)
