@@ -121,7 +121,7 @@ def test_it_swings_up(visit: Open, source: str, name: str) -> None:
     page = visit(source, f"task=swing-up&start=0,3.1416,3.1416,0,0,0&left={name.replace(' ', '+')}&right=")
     assert page.locator("#figures thead").inner_text().split("\t")[1].strip() == name
     page.evaluate(FAST)
-    until(page, "playground.lanes[0].figures().up > 1", 120)
+    until(page, "playground.lanes[0].figures().up > 1", 240)
     assert page.evaluate("playground.clock") < 6
     assert page.evaluate("playground.lanes[0].x[0][1]") == pytest.approx(np.pi)
 

@@ -93,7 +93,6 @@ class Page {
                 while (this.asking) await new Promise((resolve) => setTimeout(resolve, 1));
                 this.stale = false;
                 const { source, lanes } = this;
-                const waiting = setTimeout(() => this.notice(GETTING_READY, true), 1500);
                 try {
                     const { rig, task, changes, seed } = this.scene;
                     const message = {
@@ -105,7 +104,7 @@ class Page {
                         k: this.earlier + this.k,
                         states: lanes.map((lane) => lane.states),
                     };
-                    const said = await source.scene(structuredClone(message));
+                    const said = await this.patiently(source.scene(structuredClone(message)));
                     if (source !== this.source || lanes !== this.lanes) {
                         this.stale = true;
                         continue;
@@ -120,12 +119,21 @@ class Page {
                     if (source !== this.source) this.stale = true;
                     else if (error.gone) await new Promise((resolve) => setTimeout(resolve, 50));
                     else this.notice(error.message);
-                } finally {
-                    clearTimeout(waiting);
                 }
             }
         } finally {
             this.describing = false;
+        }
+    }
+
+    /** Return what a source answers, and say why it takes long, if it does. */
+    async patiently(answer) {
+        const waiting = setTimeout(() => this.notice(GETTING_READY), 1500);
+        try {
+            return await answer;
+        } finally {
+            clearTimeout(waiting);
+            if (find("notice").textContent === GETTING_READY) this.notice("");
         }
     }
 
@@ -146,7 +154,7 @@ class Page {
             n = Math.min(due, MOST_BEHIND),
             push = this.hands.pushFor(n);
         try {
-            const said = await source.advance(n, push);
+            const said = await this.patiently(source.advance(n, push));
             if (source !== this.source || lanes !== this.lanes) return;
             this.k += n;
             lanes.forEach((lane, i) => lane.extend(said.lanes[i], n, push));
