@@ -13,7 +13,7 @@ import types
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import matplotlib
 import numpy as np
@@ -30,7 +30,7 @@ from rigs import endless, random_states, whole
 import dpend
 from controllers import LQR, Constant, Zero
 from dpend import Run
-from dpend.draw import Picture, animate_run, draw_strobe, plot_run
+from dpend.draw import Picture, Scene, animate_run, animate_scenes, draw_strobe, plot_run
 
 RIG = dpend.rig("gustafsson2016")
 STATE = np.array([0.3, 0.4, -0.5, 0.0, 0.0, 0.0])
@@ -663,3 +663,85 @@ def test_a_film_that_breaks_off_leaves_what_was_there(
         animate_run(run, path)
     assert [*tmp_path.iterdir()] == [path]
     assert path.read_text() == "what was there"
+
+
+# --------------------------------------------------------------------------------------------------------------- scenes
+
+
+@pytest.fixture(scope="module")
+def pushed() -> list[Run]:
+    """Return a run under a push on the cart and one on the upper link, and one that falls."""
+    start = [0, 0.2, -0.1, 0, 0, 0]
+
+    def push(t: float) -> tuple[float, float, float]:
+        return (5.0 * (0.1 <= t < 0.2), 0.0, -0.3 * (0.3 <= t < 0.4))
+
+    return [
+        dpend.simulate(RIG, LQR(RIG), start, 0.8, push=push),
+        dpend.simulate(RIG, Zero(), [0, 1.3, 1.3, 0, 0, 0], 0.8),
+    ]
+
+
+def test_a_scene_shows_every_run_at_one_time_and_its_force_until_then(pushed: list[Run]) -> None:
+    scene = Scene(pushed, ["LQR", "no force"])
+    scene.rgb(0.1)
+    links = scene.figure.findobj(lambda artist: artist.get_gid() == "link 2")
+    for run, link in zip(pushed, links, strict=True):
+        place = dpend.positions(run.x[5], RIG.params)
+        joint, tip = (place.x_joint, place.y_joint), (place.x_tip, place.y_tip)
+        np.testing.assert_array_equal(cast(Line2D, link).get_xydata(), [joint, tip])
+    (trace,) = scene.figure.axes[1].lines[-1:]
+    np.testing.assert_array_equal(np.asarray(trace.get_ydata())[:-1], pushed[0].u[:6])
+    assert np.asarray(trace.get_xdata())[-1] == pytest.approx(0.12), "what is held now is drawn to its end"
+
+
+def test_the_arrow_of_a_push_is_there_while_it_lasts_and_points_its_way(pushed: list[Run]) -> None:
+    scene = Scene(pushed[:1], ["LQR"])
+    seen = {}
+    for name in ("push_cart", "push_link2"):
+        (arrow,) = scene.figure.findobj(lambda artist, name=name: artist.get_gid() == name)
+        lasting = []
+        for time in np.arange(0.01, 0.8, 0.02):
+            scene.rgb(float(time))
+            lasting.append(arrow.get_visible())
+            if arrow.get_visible():
+                # An arrow ends in one point, and begins with two.
+                across = np.unique(cast(FancyArrow, arrow).get_xy(), axis=0)[:, 0]
+                ends = [np.sum(np.abs(across - end) < 0.02) for end in (across.min(), across.max())]
+                seen[name] = "right" if ends == [2, 1] else "left" if ends == [1, 2] else "nowhere"
+        np.testing.assert_array_equal(lasting, pushed[0].log[name] != 0)
+    assert seen == {"push_cart": "right", "push_link2": "left"}
+
+
+def test_a_run_that_ended_stays_as_it_ended_and_the_scene_says_how(pushed: list[Run]) -> None:
+    scene = Scene(pushed, ["LQR", "no force"])
+    over = pushed[1].t[-1]
+    assert over < 0.7
+    for time, words in ((over - 0.03, ""), (over, "Link 1 fell"), (0.8, "Link 1 fell")):
+        scene.rgb(float(time))
+        assert ("Link 1 fell" in [text.get_text() for text in scene.figure.texts]) == bool(words)
+    link = scene.figure.findobj(lambda artist: artist.get_gid() == "link 1")[1]
+    assert cast(Line2D, link).get_xydata()[0][0] == pushed[1].x[-1, 0]
+
+
+def test_a_film_of_scenes_shows_one_after_the_other(pushed: list[Run], tmp_path: Path) -> None:
+    room = max(Scene([run], ["one"]).room for run in pushed)
+    scenes = [Scene([run], ["one"], room=room) for run in pushed]
+    path = animate_scenes(scenes, tmp_path / "scenes.gif", fps=10)
+    held = 2 * 0.9  # the last picture of each is shown once, and once more eight times
+    lasting = sum(0.1 * len(np.arange(0, scene.seconds, 0.1)) for scene in scenes)
+    assert sum(durations(path)) == pytest.approx(lasting + held)
+    other = Scene(pushed[:1], ["one"], room=room + 10)
+    message = f"A film takes scenes of one size, at least one: give all the same room; got {room}, {room + 10}."
+    with pytest.raises(ValueError, match=whole(message)):
+        animate_scenes([*scenes, other], tmp_path / "none.gif")
+    assert not (tmp_path / "none.gif").exists()
+
+
+def test_a_scene_refuses_what_it_cannot_show(run: Run) -> None:
+    message = "A scene takes one to four runs, and a name and a color for each; got 1 runs, 2 names and 1 colors."
+    with pytest.raises(ValueError, match=whole(message)):
+        Scene([run], ["one", "two"])
+    message = "A scene shows the whole track, and a rig's has no end: rig.replace(track_limit=5)."
+    with pytest.raises(ValueError, match=whole(message)):
+        Scene([replace(run, rig=endless())], ["one"])
