@@ -721,7 +721,7 @@ def test_a_run_that_ended_stays_as_it_ended_and_the_scene_says_how(pushed: list[
         scene.rgb(float(time))
         assert ("Link 1 fell" in [text.get_text() for text in scene.figure.texts]) == bool(words)
     link = scene.figure.findobj(lambda artist: artist.get_gid() == "link 1")[1]
-    assert cast(Line2D, link).get_xydata()[0][0] == pushed[1].x[-1, 0]
+    assert np.asarray(cast(Line2D, link).get_xdata())[0] == pushed[1].x[-1, 0]
 
 
 def test_a_film_of_scenes_shows_one_after_the_other(pushed: list[Run], tmp_path: Path) -> None:

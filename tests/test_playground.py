@@ -79,7 +79,7 @@ def test_the_loop_in_the_tab_is_that_of_the_stepper_with_delays_lag_limit_and_st
                   actuator_lag=0.03 * (k % 2)).replace(joint2_friction=[0.0, 0.5, 40.0][k % 3])  # fmt: skip
         x0 = rng.normal(size=6)
         commands, pushes = rng.normal(scale=20, size=20), rng.normal(scale=3, size=(20, 3))
-        cases.append({"rig": export._rig(rig, ""), "x0": x0.tolist(), "commands": commands.tolist(),
+        cases.append({"rig": export.plain_rig(rig), "x0": x0.tolist(), "commands": commands.tolist(),
                       "pushes": pushes.tolist()})  # fmt: skip
         stepper = dpend.Stepper(rig, 1)
         seen = [stepper.reset(x0)[0]]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from .scene import CHANGES, MOST_COPIES, contenders, fits, make
 
 _WEB = Path(__file__).parent / "web"
 _LAMBDAS = np.round(np.arange(0.05, 0.8001, 0.01), 2)
-_POLICY = (
+POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; media-src blob:"
 )
 
@@ -46,12 +46,16 @@ def files(specs: Sequence[str] = ()) -> dict[str, str]:
     ValueError
         If one of them is no controller.
     """
-    own = {file.name: file.read_text(encoding="utf-8") for file in sorted(_WEB.iterdir())}
-    return own | {
+    return web_files() | {
         "plant.js": emit.plant("js"),
         "laws.js": _laws(),
         "catalogue.js": _catalogue(contenders(specs), True),
     }
+
+
+def web_files() -> dict[str, str]:
+    """Return the texts that lie here as they are, by name."""
+    return {file.name: file.read_text(encoding="utf-8") for file in sorted(_WEB.iterdir())}
 
 
 def export(folder: str | Path) -> Path:
@@ -70,9 +74,8 @@ def export(folder: str | Path) -> Path:
     texts = files() | {"catalogue.js": _catalogue(CONTENDERS, False)}
     page = texts["index.html"]
     page = page.replace('<link rel="stylesheet" href="style.css">', f"<style>\n{texts['style.css']}</style>")
-    page = page.replace("<head>", f'<head>\n<meta http-equiv="Content-Security-Policy" content="{_POLICY}">')
-    # Each file's own names are told apart, so that all can stand in one module.
-    script = "\n".join(_alone(texts[name]) for name in _in_order("main.js", texts))
+    page = page.replace("<head>", f'<head>\n<meta http-equiv="Content-Security-Policy" content="{POLICY}">')
+    script = bundle("main.js", texts)
     page = page.replace('<script type="module" src="main.js"></script>', f'<script type="module">\n{script}</script>')
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -84,7 +87,12 @@ def export(folder: str | Path) -> Path:
 _IMPORT = re.compile(r'^import \{[^}]*\} from "\./([\w.]+)";\n', flags=re.MULTILINE)
 
 
-def _in_order(name: str, texts: dict[str, str], seen: set[str] | None = None) -> Iterator[str]:
+def bundle(name: str, texts: Mapping[str, str]) -> str:
+    """Return a module and all that it imports from these texts as one; no two of them have a name in common."""
+    return "\n".join(_alone(texts[each]) for each in _in_order(name, texts))
+
+
+def _in_order(name: str, texts: Mapping[str, str], seen: set[str] | None = None) -> Iterator[str]:
     """Return a module and all that it imports, each after those that it needs."""
     seen = set() if seen is None else seen
     seen.add(name)
@@ -130,7 +138,7 @@ def _law(contender: Contender, rig: str) -> str:
     return f"(() => {{\n{_alone(law)}return {{ reset, act, MEMORY }};\n}})()"
 
 
-def _rig(rig: Rig, about: str) -> dict[str, Any]:
+def plain_rig(rig: Rig, about: str = "") -> dict[str, Any]:
     """Return a rig's numbers as JSON knows them: null for what is infinite or left out."""
     numbers = rig.to_dict()
     plain = {name: _plain(value) for name, value in numbers.items() if name != "params"}
@@ -154,7 +162,9 @@ def catalogue(known: Sequence[Contender], python: bool) -> dict[str, Any]:
     looks, share = styles(each.name for each in known), kept_boundary().share
     return {
         "python": python,
-        "rigs": {name: _rig(dpend.rig(name), about.partition(". Source:")[0]) for name, about in dpend.rigs().items()},
+        "rigs": {
+            name: plain_rig(dpend.rig(name), about.partition(". Source:")[0]) for name, about in dpend.rigs().items()
+        },
         "changes": CHANGES,
         "units": dict(UNITS),
         "mostCopies": MOST_COPIES,
