@@ -10,6 +10,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
+from itertools import cycle
 from pathlib import Path
 from string import Template
 from typing import Any, NamedTuple
@@ -91,7 +92,7 @@ def _page(studies: Iterable[_Study]) -> str:
     web = {file.name: file.read_text(encoding="utf-8") for file in (files("studies") / "report" / "web").iterdir()}
     tables = {file.name: file.read_text(encoding="utf-8") for file in (files("studies") / "web").iterdir()}
     board = next(filter(None, map(_leaderboard, studies)), "")
-    replays = [*_film(studies), *_swing_up(studies)]
+    replays = list(_replays(studies))
     script = ""
     if replays:
         data = json.dumps(replays, allow_nan=False, separators=(",", ":"))
@@ -168,35 +169,33 @@ def _leaderboard(study: _Study) -> str:
 # ------------------------------------------------------------------------------------------------------------- replays
 
 
-def _film(studies: Iterable[_Study]) -> Iterator[dict[str, Any]]:
-    """Return the scenes of the film in which somebody acts."""
-    for study in studies:
-        for folder in study.folders if study.name == "film" else []:
-            table = load(folder)
-            for scene, caption in film.CAPTIONS.items():
-                runs = film.runs_of(table, scene)
-                if scene == "free" or not runs:
-                    continue
-                colours = dict(zip(runs, film.colours(scene, list(runs)), strict=True))
-                yield {
-                    "title": caption, "task": "swing-up" if scene == "swing-up" else "balance",
-                    "rig": plain_rig(table.rig),
-                    "runs": [
-                        _run(name, {"colour": colours[name], "line": "-"}, run.x, run.u, run.status)
-                        for name, run in runs.items()
-                    ],
-                }  # fmt: skip
+_PUSHED = ("duel", "learned")
 
 
-def _swing_up(studies: Iterable[_Study]) -> Iterator[dict[str, Any]]:
-    """Return each controller's first swing from hanging."""
-    for study in studies:
-        for folder in study.folders if study.name == "swing_up" else []:
-            table = load(folder)
-            runs = list(_first_swings(table))
-            yield {
-                "title": "Swing-up from near hanging", "task": "swing-up", "rig": plain_rig(table.rig), "runs": runs
-            }  # fmt: skip
+def _replays(studies: Iterable[_Study]) -> Iterator[dict[str, Any]]:
+    """Return scenes: everyone under the same pushes, a training on its way, and the swings from hanging."""
+    tables = {study.name: load(study.folders[0]) for study in studies if study.name in ("film", "swing_up")}
+    if "film" in tables:
+        table = tables["film"]
+        pushed = [run for scene in _PUSHED for run in _filmed(table, scene)]
+        yield from _scene("Everyone under the same pushes", "balance", table, pushed)
+        yield from _scene(film.CAPTIONS["training"], "balance", table, list(_filmed(table, "training")))
+    if "swing_up" in tables:
+        table = tables["swing_up"]
+        yield from _scene("Swing-up from near hanging", "swing-up", table, list(_first_swings(table)))
+
+
+def _scene(title: str, task: str, table: Table, runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return a scene in a list, or none where it has no runs."""
+    return [{"title": title, "task": task, "rig": plain_rig(table.rig), "runs": runs}] if runs else []
+
+
+def _filmed(table: Table, scene: film.SceneName) -> Iterator[dict[str, Any]]:
+    runs = film.runs_of(table, scene)
+    colours = film.colours(scene, list(runs))
+    dashes = ("-", "--", "-.", ":") if scene == "training" else ("-",)  # which has one colour
+    for (name, run), colour, line in zip(runs.items(), colours, cycle(dashes), strict=False):
+        yield _run(name, {"colour": colour, "line": line}, run.x, run.u, run.status)
 
 
 def _first_swings(table: Table) -> Iterator[dict[str, Any]]:
