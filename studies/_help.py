@@ -69,7 +69,7 @@ def _values(hint: Any) -> str:
     if get_origin(hint) is Literal:
         return "|".join(get_args(hint))
     if get_origin(hint) is tuple:
-        return _WORDS[get_args(hint)[0]] + " ..." * (not repeated)
+        return _values(get_args(hint)[0]) + " ..." * (not repeated)
     return next(word for kind, word in _WORDS.items() if kind is hint or kind in get_args(hint))
 
 

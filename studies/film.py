@@ -79,7 +79,7 @@ class Options(_runner.Options):
     needs = ("force_limit", "ideal")
 
     only: tuple[SceneName, ...] = ()  # Scenes to film; left out, all.
-    films: bool = True  # Write the films, beside their table and figure.
+    films: bool = True  # Write the films; --no-films, their table and figure alone.
 
     def __post_init__(self) -> None:
         super().__post_init__()
