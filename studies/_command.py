@@ -18,6 +18,7 @@ MODULES = {
     "check": "dpend.check",
     "emit": "dpend.emit",
     "export": "studies.export",
+    "play": "studies.playground",
     "report": "studies.report",
     **{name.removeprefix("studies.").replace("_", "-"): name for name in studies()},
 }
