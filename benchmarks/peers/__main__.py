@@ -104,7 +104,7 @@ def main(
         with atomic(file) as written:
             kept.to_csv(written, index=False)
         with atomic(out / "tables.md") as written:
-            written.write_text(markdown(kept) + "\n", encoding="utf-8")
+            written.write_text(f"# Beside other engines\n\n{markdown(kept)}\n", encoding="utf-8")
     console.print(markdown(kept), highlight=False, soft_wrap=True)
     for row in failed:
         console.print(f"{row.quantity}, {row.engine}: {row.worst:.1e} is more than {row.tolerance:.0e}.")
