@@ -78,6 +78,7 @@ def test_of_one_unit_the_interval_is_that_of_its_runs_and_of_no_trials_there_is_
 # ---------------------------------------------------------------------------------------------------------- medians
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [6, 20, 25, 400])
 def test_intervals_of_a_median_cover_it_whatever_the_values_are_like(n):
     rng = np.random.default_rng(3)

@@ -99,10 +99,12 @@ def test_intervals_are_students_with_what_the_fit_leaves_of_the_data(seconds: fl
         assert_allclose([low, high], found.values[name] * np.exp([-half, half]), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_intervals_hold_where_all_noise_is_rounding() -> None:
     assert 0.90 <= coverage(range(2000, 2030), sensor_noise=0.0) <= 0.99
 
 
+@pytest.mark.slow
 def test_what_is_left_is_noise_unless_the_model_lacks_something() -> None:
     found = identify(recorded(0), START, FIT)
     assert all(abs(each) < 0.25 for each in found.autocorrelation.values())
@@ -204,6 +206,7 @@ def refused(message: str, runs: Any, start: Any, fit: Any, **settings: Any) -> N
         identify(runs, start, fit, **settings)
 
 
+@pytest.mark.slow
 def test_what_the_motion_cannot_tell_apart_is_refused_with_names_and_remedy() -> None:
     start = TRUE.replace(com1=0.5, com2=0.5, inertia1=0.05, inertia2=0.05)
     refused(
@@ -215,6 +218,7 @@ def test_what_the_motion_cannot_tell_apart_is_refused_with_names_and_remedy() ->
     )
 
 
+@pytest.mark.slow
 def test_the_remedy_helps() -> None:
     start = TRUE.replace(com1=0.5, com2=0.5, inertia1=0.05, inertia2=0.05)
     fit = ["cart_mass", "mass1", "mass2", "com1", "com2", "inertia1", "inertia2", "length1"]
@@ -238,6 +242,7 @@ def test_without_a_force_the_masses_have_no_scale() -> None:
     )
 
 
+@pytest.mark.slow
 def test_what_the_motion_does_not_depend_on_is_refused() -> None:
     refused(
         "Nothing in the data depends on length2; leave it out of fit.",

@@ -506,6 +506,7 @@ def test_a_model_that_states_no_slopes_gets_those_of_the_plant_it_copies() -> No
         model_of(RIG).slopes(np.zeros(5))
 
 
+@pytest.mark.slow
 def test_on_a_model_equal_to_the_plant_plans_and_regulator_are_the_plants() -> None:
     x0 = np.array([0.0, 0.3, -0.1, 0.0, 0.0, 0.0])
     settings: dict[str, Any] = {"horizon": 0.6, "Q": (10, 50, 50, 1, 1, 1), "R": 0.1}

@@ -234,6 +234,7 @@ def test_best_known_are_the_tables_own_starts_within_the_boundary_and_those_that
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_controller_of_ones_own_stands_at_its_place_in_every_part(tmp_path, capsys):
     (tmp_path / "mine.py").write_text(BY_HAND)
     made = _runner.main("studies.leaderboard", [

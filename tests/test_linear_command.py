@@ -27,6 +27,7 @@ def test_a_shipped_policy_balances_and_says_by_which_command_it_was_made(name, k
     assert dpend.simulate_many(RIG, policy, starts, task=task).success.mean() > 0.97
 
 
+@pytest.mark.slow
 def test_the_command_makes_the_shipped_policy_again_side_by_side_with_another(tmp_path, capsys):
     main(["--algo", "lspi", "--seeds", "2", "--workers", "2", "--out", str(tmp_path)])
     other = load_policy(tmp_path / "seed-1" / "policy.npz")

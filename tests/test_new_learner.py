@@ -97,6 +97,7 @@ def test_it_is_a_learner_as_any() -> None:
     assert isinstance(CrossEntropy(RIG), Learner)
 
 
+@pytest.mark.slow
 def test_the_leaderboard_trains_it_and_ranks_its_policy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     field = (*CONTENDERS, ENTRY)
     monkeypatch.setattr(leaderboard.Options, "known", field)
@@ -114,6 +115,7 @@ def test_the_leaderboard_trains_it_and_ranks_its_policy(monkeypatch: pytest.Monk
     assert "cross-entropy ranks" not in page  # which is said of users' own
 
 
+@pytest.mark.slow
 def test_the_sweep_over_lambda_trains_it_as_often_as_others(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     known = (*lambda_sweep.KNOWN, ENTRY)
     monkeypatch.setattr(lambda_sweep.Options, "known", known)
