@@ -142,6 +142,12 @@ def measurements(n: int, samples: int = 4, seed: int = 0) -> Array:
     return 0.1 * np.random.default_rng(seed).standard_normal((samples, n, 6))
 
 
+def motion(n: int, samples: int = 6) -> Array:
+    """Return measurements ``(samples, n, 6)`` that go on as a plant does: jumps magnify rounding."""
+    first = measurements(n, 1)
+    return first + 0.01 * np.cumsum(measurements(n, samples, 1), axis=0)
+
+
 def turned(y: Array) -> Array:
     """Return measurements ``(samples, n, 6)`` with other whole turns at each."""
     other = y.copy()
@@ -171,8 +177,8 @@ def _agree(found: Array, expected: Array, tolerance: float, where: str, remedy: 
 
 
 def _rounding(forces: Array) -> float:
-    """Return the rounding of a turn, which an unstable plant magnifies and a plan of many samples more, N."""
-    return 1e-4 * max(1.0, float(np.abs(forces).max()))
+    """Return the rounding of a turn, which an unstable plant magnifies, N."""
+    return 1e-6 * max(1.0, float(np.abs(forces).max()))
 
 
 def start_takes_n_and_rng(controller: Controller | Law, rig: Rig) -> None:  # noqa: ARG001  # called as all are
@@ -287,7 +293,7 @@ def drives_the_rig(controller: Controller | Law, rig: Rig) -> None:
 def whole_turns_change_nothing(controller: Controller | Law, rig: Rig) -> None:
     """Check that angles that differ by whole turns are the same angles."""
     for n in _sizes(controller):
-        y = measurements(n, samples=6)
+        y = motion(n)
         expected = answers(controller, rig, y)
         remedy = "Take angles to the nearest turn, dpend.state.deviation(y, target), or by sine and cosine."
         _agree(
@@ -317,7 +323,7 @@ def missing_measurements_are_survived(controller: Controller | Law, rig: Rig) ->
 def mirrored_forces(controller: Controller | Law, rig: Rig) -> None:
     """Check that mirrored measurements have mirrored forces: the law is odd, as ``mirrored = True`` claims."""
     for n in _sizes(controller):
-        y = measurements(n, samples=6)
+        y = motion(n)
         expected = -answers(controller, rig, y)
         remedy = "Take out what knows a side, such as an offset, or the claim mirrored = True."
         _agree(answers(controller, rig, -y), expected, _rounding(expected), "from mirrored ones", remedy)
