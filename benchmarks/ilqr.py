@@ -1,7 +1,7 @@
 """Time per step of the iLQR horizon by percentile: in the swing, upright, and for the first plan; and of a batch.
 
 Run ``python -m benchmarks.ilqr`` on a machine that does nothing else.  A step shifts the plan, follows it from the
-measured state, and does at most two iterations; while the plan is dear it does as much for a challenger.  The batch
+measured state, and does at most two iterations; while the plan is costly it does as much for a challenger.  The batch
 balances from λ = .4, on all cores, in turns with as many runs one after the other.
 """
 

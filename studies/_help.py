@@ -42,8 +42,8 @@ def help_of(options: Any, program: str, question: str, width: int = 80) -> str:
                     )
                 )  # fmt: skip
     above = [f"usage: {program} [options]", textwrap.fill(question, width)]
-    told = f"What it does and what it found: python -m pydoc {options.__module__}"
-    return "\n\n".join([*above, *(f"{title}\n" + "\n".join(lines) for title, lines in groups.items()), told])
+    pointer = f"What it does and what it found: python -m pydoc {options.__module__}"
+    return "\n\n".join([*above, *(f"{title}\n" + "\n".join(lines) for title, lines in groups.items()), pointer])
 
 
 def _described(cls: type) -> dict[str, str]:

@@ -9,10 +9,10 @@ time until the first episode that succeeds, and until the second of two policies
 PPO and DDPG are those of ``docs/results/deep_swing_up``; PILCO's mark is the experience of 20 to 30 trials of 5 s, as
 published in 2011.
 
-Finding: told the structure of the equations, their mirror symmetry and what gravity does when all is turned round, ten
-of ten seeds on pilco2011 swing up after 15 s of experience (median [10, 15], 4.3 s of a core), and 90 % of fresh starts
-after 15 s (10 to 20 s); of their later episodes 2 failed.  PILCO took 100 to 150 s.  From ``--rig pilco2011 --only
-"structure, mirror, gravity"``, kept in docs/results/price_of_ignorance; the other rows have not been run.
+Finding: knowing the structure of the equations, their mirror symmetry and what gravity does when all is turned round,
+ten of ten seeds on pilco2011 swing up after 15 s of experience (median [10, 15], 4.3 s of a core), and 90 % of fresh
+starts after 15 s (10 to 20 s); of their later episodes 2 failed.  PILCO took 100 to 150 s.  From ``--rig pilco2011
+--only "structure, mirror, gravity"``, kept in docs/results/price_of_ignorance; the other rows have not been run.
 """
 
 from __future__ import annotations

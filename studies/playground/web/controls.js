@@ -47,7 +47,7 @@ export class Controls {
                 this.choice(
                     "place",
                     "Start",
-                    "Or pause, and drag the cart and the links to where they shall begin.",
+                    "Or pause, and drag the cart and the links to where they should begin.",
                 ),
                 this.button(
                     "random",
@@ -97,7 +97,7 @@ export class Controls {
             this.slider(name, label, ...more),
         );
         const restore = this.button("restore", "As the rig has it", "Undoes all changes of the plant.");
-        plant.append(this.group("The plant, while it runs: no controller is told", ...sliders, restore));
+        plant.append(this.group("The plant, while it runs: the controllers do not know", ...sliders, restore));
         this.show();
     }
 

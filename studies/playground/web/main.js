@@ -81,7 +81,7 @@ class Page {
         return changedRig(CATALOGUE.rigs[this.scene.rig], this.scene.changes);
     }
 
-    /** Tell the source of the scene as it is now, states and all; while one is being told, the last one counts. */
+    /** Send the source the scene as it is now, states and all; of several while one is under way the last one counts. */
     async describe() {
         history.replaceState(null, "", hashOf(this.scene));
         this.controls.show(this.scene);

@@ -14,7 +14,7 @@ export const SLIDERS = {
         0.3,
         2,
         0.05,
-        "Change it and see who still copes: no controller is told.",
+        "Change it and see who still copes: the controllers do not know.",
     ],
     cart_friction: ["Friction of the cart", "N s/m", 0, 10, 0.1, "Grows with the cart’s speed."],
     joint1_friction: ["Friction of the lower joint", "N m s", 0, 0.5, 0.01, "Grows with the lower link’s rate."],

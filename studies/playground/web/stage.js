@@ -255,7 +255,7 @@ export function wordsOf(lane, scene) {
         episode = EPISODE * lane.rig.sample_time;
     if (scene.task === "balance") {
         const done = lane.u.length >= EPISODE ? `: success, an episode lasts ${+episode.toFixed(2)} s` : "";
-        return `${lane.seconds.toFixed(1)} s on its feet${done}`;
+        return `${lane.seconds.toFixed(1)} s standing${done}`;
     }
     const done = up >= HOLD && scene.task === "swing-up" ? ": success" : "";
     return up > 0 ? `both links up for ${up.toFixed(1)} s${done}` : "not up yet";
