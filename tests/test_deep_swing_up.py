@@ -45,6 +45,7 @@ def test_every_training_of_our_plant_is_a_job_and_none_of_another_environment():
     assert [job.training for job in jobs if job.learner == "ppo-swing-up-near"] == [30, 31]
 
 
+@pytest.mark.slow
 def test_the_cost_in_the_table_is_that_of_the_training_and_the_bound_stands_beside():
     chosen = ("ppo-swing-up-near", LQR_BALANCE)
     jobs = [job for job in deep_swing_up.jobs(Options(quick=True, starts=20)) if job.learner in (LEAST, LQR_BALANCE)]

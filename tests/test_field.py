@@ -209,6 +209,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", CHANGES)
 def test_results_of_ones_own_are_computed_again_when_something_changes(what, place, fingerprint):
     before = fingerprint()
@@ -217,6 +218,7 @@ def test_results_of_ones_own_are_computed_again_when_something_changes(what, pla
     assert fingerprint() != before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Hidden", "in_a_closure"])
 def test_numbers_count_wherever_they_are_held(name, place, fingerprint):
     before = fingerprint(name)
@@ -224,11 +226,13 @@ def test_numbers_count_wherever_they_are_held(name, place, fingerprint):
     assert fingerprint(name) != before
 
 
+@pytest.mark.slow
 def test_numbers_count_wherever_they_come_from(fingerprint):
     assert fingerprint("Counted", "1") == fingerprint("Counted", "1")
     assert fingerprint("Counted", "1") != fingerprint("Counted", "2")
 
 
+@pytest.mark.slow
 def test_a_comment_and_a_docstring_lose_no_results_of_ones_own(place, fingerprint):
     before = fingerprint()
     (place / "mine.py").write_text((place / "mine.py").read_text().replace("A law.", "A good law.") + "# by me\n")
@@ -236,6 +240,7 @@ def test_a_comment_and_a_docstring_lose_no_results_of_ones_own(place, fingerprin
     assert fingerprint() == before
 
 
+@pytest.mark.slow
 def test_a_controller_whose_numbers_cannot_be_read_is_run_again_each_time(place, fingerprint):
     add = "import threading\nclass Locked(Counted):\n    def __init__(self):\n        self.lock = threading.Lock()\n"
     add += "        super().__init__()\n"

@@ -141,6 +141,7 @@ def test_as_published_with_large_steps_the_weights_overflow_and_with_small_ones_
     assert small.cost.steps == small.curve["length"].sum()
 
 
+@pytest.mark.slow
 def test_tuned_it_balances_and_saves_what_a_regulator_saves():
     task = dpend.Balance(lam=0.3)
     starts = task.starts(np.random.default_rng(9), 200, RIG)
@@ -155,6 +156,7 @@ def test_tuned_it_balances_and_saves_what_a_regulator_saves():
     assert list(training.details["updated"]) == list(range(2, 401, 2))
 
 
+@pytest.mark.slow
 def test_the_same_seed_learns_the_same_and_another_something_else():
     for learner in (
         replace(GaussianQAC.tuned(RIG), max_episodes=20),

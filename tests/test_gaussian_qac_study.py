@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 from rl import GaussianQAC
@@ -37,6 +38,7 @@ def test_a_job_trains_the_reports_learner_with_each_of_its_steps_and_seeds():
     assert rows[-1]["longest"] == round(training.curve["length"].mean(), 2)
 
 
+@pytest.mark.slow
 def test_the_tuned_learner_is_followed_while_it_learns_and_lqr_has_its_starts():
     tuned, lqr = (
         replace(job, episodes=40)

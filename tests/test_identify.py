@@ -328,6 +328,7 @@ def test_wrong_use_is_refused() -> None:
 ENCODER_2 = np.array([[1, 0, 0], [0, 1, 0], [0, 2, -1]])  # counts from link 1, the other way
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("what", "argument", "turn", "force"),
     [
@@ -351,6 +352,7 @@ def test_a_wrong_sign_of_a_recording_is_named(what: str, argument: str, turn: An
     assert any(hint in str(each.message) for each in said)
 
 
+@pytest.mark.slow
 def test_clamped_links_are_identified() -> None:
     heavy = TRUE.replace(cart_mass=1e6)
     swung = dpend.simulate(heavy, Zero(), HANGING, 6.0, task=None, seed=1)

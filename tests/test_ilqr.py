@@ -421,6 +421,7 @@ def test_in_a_batch_missing_measurements_and_whole_turns_are_each_rows_own() -> 
     assert not np.any(np.array(together.log["held"])[:, 1:])
 
 
+@pytest.mark.slow
 def test_next_to_the_tracks_end_it_saves_what_the_regulator_saves() -> None:
     rng = np.random.default_rng(0)
     x0 = np.zeros((12, 6))
@@ -493,6 +494,7 @@ def model_of(rig: Rig) -> Model:
     return Model(step=the_same, parameters=(rig.params.coefficients(), rig.sample_time / 2))
 
 
+@pytest.mark.slow
 def test_a_model_that_states_no_slopes_gets_those_of_the_plant_it_copies() -> None:
     x, u = random_states(np.random.default_rng(0), 1)[0], 7.0
     for name in ("gustafsson2016", "dompc_dip"):  # one compilation serves both

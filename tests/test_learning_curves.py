@@ -97,6 +97,7 @@ def test_trainings_that_never_get_there_count_as_more_than_all_others(values, te
     assert (cell.text, cell.under) == (text, under)
 
 
+@pytest.mark.slow
 def test_a_policy_on_the_way_is_the_one_of_a_training_that_ends_there():
     learner = LinearQLearning.tuned(RIG, select=False)
     long, short = (replace(learner, max_episodes=n).train(2) for n in (30, 12))

@@ -129,6 +129,7 @@ def test_the_sweep_over_lambda_trains_it_as_often_as_others(monkeypatch: pytest.
     assert "| cross-entropy (0 of 2 converged) |" in (tmp_path / "tables.md").read_text()
 
 
+@pytest.mark.slow
 def test_the_learning_curves_train_it_and_evaluate_its_policy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(_field, "CONTENDERS", (ENTRY,))
     monkeypatch.setattr(learning_curves, "ONLY_HERE", ())

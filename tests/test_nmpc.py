@@ -314,6 +314,7 @@ def test_angles_that_differ_by_whole_turns_at_any_sample_give_the_same_forces() 
         y = stepper.step(u)
 
 
+@pytest.mark.slow
 def test_beyond_the_margin_it_saves_what_the_regulator_saves() -> None:
     rng = np.random.default_rng(1)
     x0 = np.zeros((4, 6))

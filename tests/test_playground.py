@@ -539,6 +539,7 @@ def test_no_path_reaches_a_file(local: Any, path: str) -> None:
     assert fetched(local, path) == (404, "There is no such page.")
 
 
+@pytest.mark.slow
 def test_no_message_stops_the_server_or_another_visitor(local: Any) -> None:
     from websockets.exceptions import ConnectionClosed
 

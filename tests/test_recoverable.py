@@ -106,6 +106,7 @@ def test_the_least_force_of_a_small_start_is_what_the_linear_set_says():
         assert search(start).about["force"] == pytest.approx(40.0 * SET.share(start)[0], rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_motion_of_least_force_keeps_all_limits_and_ends_at_rest(search):
     start = at_rest(0.25, -0.22)
     plan = search(start)
@@ -123,6 +124,7 @@ def test_a_mirrored_start_asks_for_the_same_force(search):
     )
 
 
+@pytest.mark.slow
 def test_the_motion_from_one_start_is_a_guess_for_another_in_its_direction(search):
     near = search(at_rest(0.18, -0.16))
     for share in (0.8, 1.0, 1.3):
@@ -306,6 +308,7 @@ def test_the_kept_table_agrees_with_its_random_starts_and_its_motions_hold():
     assert set(rows["saves"]) == {"yes", "-"}
 
 
+@pytest.mark.slow
 def test_the_report_is_what_the_kept_table_says():
     with _figures.look():
         reported = recoverable.report(Table(read_rows(kept_table("recoverable"))))

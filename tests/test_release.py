@@ -42,6 +42,7 @@ def test_every_shipped_file_exists() -> None:
     assert not [file for file in forced if not (ROOT / file).is_file()]
 
 
+@pytest.mark.slow
 def test_what_listens_or_fetches_is_named_in_the_security_policy() -> None:
     network = {
         "asyncio",

@@ -122,6 +122,7 @@ def finished(out):
     return [file for file in (out / "jobs").glob("*.npz") if not file.name.startswith(".")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inherited", ["", "trap '' INT; "], ids=["as usual", "ignored, as in a shell's background"])
 def test_one_ctrl_c_ends_within_a_second_keeps_what_is_done_and_says_so(inherited, tmp_path):
     command = " ".join(example(tmp_path, "--nap", "0.4", "--jobs", "200"))
@@ -178,6 +179,7 @@ def test_another_package_of_the_same_name_is_named_in_one_sentence(package, tmp_
 # -------------------------------------------------------------------------------------------------- whole files
 
 
+@pytest.mark.slow
 def test_a_figure_that_is_too_large_for_the_disk_ends_in_one_line(tmp_path):
     run_example(tmp_path, "--jobs", "2")
     before = (tmp_path / "tests.study_example.png").read_bytes()
@@ -627,6 +629,7 @@ def test_the_finding_about_the_report_is_what_the_kept_table_says():
     assert set(_runner.where(rows, trainings=60, learner="18 features")["converged"]) == {0}
 
 
+@pytest.mark.slow
 def test_the_list_of_studies_takes_one_line_for_each_with_its_minutes():
     done = subprocess.run([sys.executable, "-m", "studies"], cwd=ROOT, check=True, capture_output=True, text=True)
     lines = done.stdout.splitlines()

@@ -44,6 +44,7 @@ def table_of(jobs, quick=False):
     return Table(pd.DataFrame(rows), quick, {k: result.arrays for k, result in enumerate(results)})
 
 
+@pytest.mark.slow
 def test_a_controller_of_your_own_is_run_under_every_condition_and_a_preset_that_it_refuses_is_named(options):
     mine = [job for job in swing_up.jobs(options) if job.own]
     assert {job.contender for job in mine} == {"Mine"}
@@ -85,6 +86,7 @@ def test_quick_runs_are_fewer_but_as_long_as_the_others(options):
     assert moved == {TRANSFERS[0]: 6.0}
 
 
+@pytest.mark.slow
 def test_runs_in_several_jobs_are_those_of_one(options):
     case = Job(contender="PPO swing-up", plant_error=0.2, runs=6, seed=3)
     whole = table_of([case])
@@ -112,6 +114,7 @@ def test_a_case_is_timed_one_run_at_a_time_and_gives_what_the_batch_gives():
     assert StepTimes.joined(table).steps == 3 * (task.steps - 1)
 
 
+@pytest.mark.slow
 def test_films_are_found_by_job_where_names_differ_in_signs_only(options):
     table = table_of([Job(contender="TVLQR", runs=1, seed=0), Job(contender="PPO swing-up, smooth", runs=1, seed=0)])
     assert list(swing_up.films(table)) == ["TVLQR.gif", "PPO_swing-up_smooth.gif"]
@@ -162,6 +165,7 @@ def test_a_run_succeeds_within_a_horizon_if_its_links_were_up_for_good_a_second_
     assert np.isnan(short.value)
 
 
+@pytest.mark.slow
 def test_one_long_run_says_what_a_short_one_of_the_same_start_says():
     long = Job(contender="TVLQR", plant_error=0.15, seconds=30.0, runs=6, seed=0)
     whole, part = (

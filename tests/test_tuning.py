@@ -31,6 +31,7 @@ def test_every_shipped_law_saves_more_fresh_starts_than_the_one_it_improves_on()
     assert all(found.cost.evaluations > 700 and found.cost.cpu_seconds > 1 for found in laws.values())
 
 
+@pytest.mark.slow
 def test_a_gain_tuned_for_a_while_saves_more_than_lqr_and_its_cost_is_counted() -> None:
     found = tuned_gain(RIG, lam=0.4, starts=40, evaluations=96, seed=3)
     assert saved(found, 0.4) > saved(LQR(RIG), 0.4) + 0.03
@@ -39,6 +40,7 @@ def test_a_gain_tuned_for_a_while_saves_more_than_lqr_and_its_cost_is_counted() 
     assert 0.2 * 98 * 40 * 6 < found.cost.experience < 98 * 40 * 6
 
 
+@pytest.mark.slow
 def test_tuning_is_the_same_for_a_seed_and_leaves_the_global_random_numbers_alone() -> None:
     before = np.random.get_state(legacy=False)["state"]["key"].copy()  # noqa: NPY002
     first, second, other = (tuned_gain(RIG, starts=5, evaluations=32, seed=seed) for seed in (1, 1, 2))
