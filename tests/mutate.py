@@ -74,7 +74,7 @@ def mutants(files: list[Path]) -> Iterator[tuple[Path, str, dict[str, object], i
 
 
 def survives(copy: Path, module: str, timeout: int) -> bool:
-    """Return whether the tests of a copy pass: those in a file of the module's own, then the fast ones of every file."""
+    """Return whether the tests of a copy pass: its module's own, then the fast ones of all."""
     own = copy / "tests" / f"test_{OWN_TESTS.get(module, module.strip('_'))}.py"
     tries = [[str(own), "-n", "0", "-m", kind] for kind in ("not slow", "slow and not nightly") if own.exists()]
     for tests in [*tries, ["-n", "2", "-m", "not slow"]]:
