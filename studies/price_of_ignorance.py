@@ -31,7 +31,7 @@ from rl.model_based import settled
 
 from . import _runner
 from ._closure import kept_table
-from ._estimates import median
+from ._estimates import median, number
 from ._figures import COLOURS, facets, legend_above, log_axis
 from ._runner import Plant, Positive, Report, Result, Table, read_rows, where
 from ._tables import Value, sheet
@@ -104,6 +104,8 @@ class Row:
     tried: int = 0  # fresh starts of the last policy evaluated, which end where 90 % are certain or impossible
     succeeded: int = 0
     track_ends: int = 0  # of the last policy's runs on fresh starts, those that ended at the track
+    step_p99: float = math.nan  # of its steps, without the first of a run, s
+    first_step: float = math.nan  # median of those, which plan from nothing, s
 
 
 def jobs(options: Options) -> list[Job]:
@@ -128,7 +130,7 @@ def run(job: Job) -> Result:
     experience, success = training.curve["experience"], training.curve["success"]
     row: dict[str, float] = {"experience": training.experience}
     rate = training.cost.cpu_seconds / training.experience
-    last = 0, 0, 0
+    last: dict[str, float] = {}
     if success.any():
         first = int(np.argmax(success))
         row |= {"first": float(experience[first]), "first_cpu": rate * float(experience[first])}
@@ -143,28 +145,30 @@ def run(job: Job) -> Result:
                 good = False
                 continue
             last = _evaluated(rig, policy, learner, job)
-            before, good = good, last[1] >= _ENOUGH * job.starts
+            before, good = good, last["succeeded"] >= _ENOUGH * job.starts
             if before and good:
                 row |= {"stable": spent[k], "stable_cpu": rate * spent[k]}
                 break
     arrays = {"experience": experience, "success": success.astype(np.float64)}
-    return Result([Row(**row, tried=last[0], succeeded=last[1], track_ends=last[2])], arrays)  # pyright: ignore[reportArgumentType]
+    return Result([Row(**row, **last)], arrays)  # pyright: ignore[reportArgumentType]
 
 
-def _evaluated(rig: dpend.Rig, policy: dpend.Controller, learner: Learner, job: Job) -> tuple[int, int, int]:
-    """Return how many fresh starts were tried, how many succeeded, and how many ended at the track.
-
-    They are tried one by one, until 90 % of all are certain or impossible.
-    """
+def _evaluated(rig: dpend.Rig, policy: dpend.Controller, learner: Learner, job: Job) -> dict[str, float]:
+    """Return what a row says of a policy on fresh starts, tried until 90 % of all are certain or impossible."""
     starts = learner.task.starts(np.random.default_rng([_STREAM, job.seed, job.training]), job.starts, rig)
-    successes, track_ends = 0, 0
+    successes, runs = 0, list[dpend.Run]()
     for tried, x0 in enumerate(starts):
         if successes >= _ENOUGH * job.starts or tried - successes > (1 - _ENOUGH) * job.starts:
-            return tried, successes, track_ends
-        run = dpend.simulate(rig, policy, x0, task=learner.task, seed=job.seed + tried)
-        successes += settled(run)
-        track_ends += run.status is dpend.Status.TRACK_END
-    return len(starts), successes, track_ends
+            break
+        runs.append(dpend.simulate(rig, policy, x0, task=learner.task, seed=job.seed + tried))
+        successes += settled(runs[-1])
+    return {
+        "tried": len(runs),
+        "succeeded": successes,
+        "track_ends": sum(run.status is dpend.Status.TRACK_END for run in runs),
+        "step_p99": float(np.quantile(np.concatenate([run.step_time[1:] for run in runs]), 0.99)),
+        "first_step": float(np.median([run.step_time[0] for run in runs])),
+    }
 
 
 _MILESTONES = {
@@ -195,6 +199,8 @@ def report(table: Table) -> Report:
                 line |= {f"{kind}, s": middle, f"{kind}: trainings": int(np.sum(each.notna())),
                          f"{kind}, CPU s": median(own[f"{kind}_cpu"].dropna())}  # fmt: skip
             line["failed after the first"] = int(np.sum(own["failed"]))
+            line |= {"p99 of a step, ms": number(1e3 * own["step_p99"].median(), ".2g"),
+                     "first step, ms": number(1e3 * own["first_step"].median(), ".2g")}  # fmt: skip
             lines.append(line)
         words = {"PILCO, 2011": math.sqrt(math.prod(_PILCO))} if name == "pilco2011" else {}
         if name in RIGS and not words:
