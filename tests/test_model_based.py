@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from rigs import random_params, random_states, row, whole
@@ -32,9 +33,11 @@ def moved(episodes: int, seed: int) -> list[dpend.Run]:
     return [runs[i] for i in range(episodes)]
 
 
-def random_harmonic(mirror: bool, rng: np.random.Generator, gravity: bool = False) -> HarmonicModel:
-    """Return a model drawn from the prior."""
-    hyper, outputs = np.concatenate([np.log([1.2, 2.0, 1.0]), np.full(11, -0.5)]), []
+def random_harmonic(
+    mirror: bool, rng: np.random.Generator, gravity: bool = False, amplitudes: npt.ArrayLike = (0.6,) * 11
+) -> HarmonicModel:
+    """Return a model drawn from the prior; amplitudes are of what each product of rates and force adds."""
+    hyper, outputs = np.log([1.2, 2.0, 1.0, *np.asarray(amplitudes)]), []
     for d in range(3):
         columns = np.flatnonzero(harmonic.allowed(d, mirror, gravity))
         variances = harmonic.variances(hyper, mirror)[0][columns]
@@ -225,6 +228,25 @@ def test_what_is_learned_of_hanging_links_and_noisy_sensors_holds_upright() -> N
     follow, given = kalman(believed), np.append(0.0, run.u)
     estimates = np.array([follow(y, force) for y, force in zip(run.y, given, strict=True)])
     assert np.mean((estimates - run.x)[20:] ** 2) < 0.5 * np.mean((run.y - run.x)[20:] ** 2)
+
+
+@pytest.mark.slow
+def test_of_a_plant_drawn_from_the_prior_the_posterior_is_as_sure_as_it_may_be() -> None:
+    rng, episodes, D = np.random.default_rng(1), [], np.empty((1, 6, 8))
+    truth = random_harmonic(True, rng, gravity=True, amplitudes=(4.0, *(0.1,) * 6, 0.5, *(0.2,) * 3))
+    for _ in range(3):
+        x, u = np.zeros((61, 6)), rng.uniform(-8, 8, 60)
+        x[0, 1:3] = rng.uniform(-3, 3, 2)
+        for k in range(60):
+            truth.model.loops.linearize(x[[k, k]], u[k : k + 1], truth.parameters, D)
+            x[k + 1] = x[k] + D[0, :, 7]
+        episodes.append(Episode(x + 0.01 * rng.standard_normal(x.shape), u))
+    model = joint_fit.fit(episodes, H, True, True, None)
+    assert_allclose(model.noise, 0.01, rtol=0.3)
+    seen, forces = np.concatenate([each.y[:-1] for each in episodes]), np.concatenate([each.u for each in episodes])
+    off = (model.accelerations(seen, forces) - truth.accelerations(seen, forces)) / model.uncertainty(seen, forces)
+    assert 0.7 < np.sqrt(np.mean(off**2)) < 1.5
+    assert np.mean(np.abs(off) < 2) > 0.85
 
 
 # ------------------------------------------------------------------------------------------------------------- learners
