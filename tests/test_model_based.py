@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,13 @@ from rl.model_based import RandomForces, kalman, settled
 RIG = dpend.rig("pilco2011")
 H = RIG.sample_time
 ALL = Priors(True, True, True, True)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """Fit as learners do: threads of BLAS, in several processes of tests, wait for one another."""
+    with threadpool_limits(1, "blas"):
+        yield
 
 
 def moved(episodes: int, seed: int) -> list[dpend.Run]:

@@ -385,6 +385,7 @@ def _forget():
     _closure._walked.cache_clear()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("study", "name", "find", "put"),
     [
@@ -457,6 +458,7 @@ def hashes(root):
 unedited_hashes = cache(hashes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "find", "put", "stale"),
     [
