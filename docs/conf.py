@@ -67,7 +67,7 @@ html_favicon = "_static/logo.svg"
 html_show_sourcelink = False
 html_copy_source = False
 html_context = {"default_mode": "auto"}
-html_sidebars = {"index": [], "start": [], "report": [], "readme": []}
+html_sidebars = {"index": [], "start": [], "report": []}
 html_theme_options = {
     "logo": {"text": "dpend", "image_light": "_static/logo.svg", "image_dark": "_static/logo-dark.svg"},
     "navbar_align": "left",
@@ -83,7 +83,6 @@ copybutton_prompt_is_regexp = True
 copybutton_exclude = ".linenos, .gp, .go"
 
 OUTSIDE = {
-    "readme": ROOT / "README.md",
     "contributing": ROOT / "CONTRIBUTING.md",
     "changes": ROOT / "CHANGELOG.md",
     "benchmarks": ROOT / "benchmarks/README.md",

@@ -16,6 +16,7 @@ import pytest
 
 import dpend.env
 import dpend.vector_env
+from docs import result_tables
 from dpend.tasks import Balance, SwingUp
 
 ROOT = Path(__file__).parent.parent
@@ -33,18 +34,36 @@ def test_a_chapter_prints_what_it_shows(chapter):
 
 
 def run(page):
-    """Run the Python of a page from top to bottom."""
+    """Run the Python of a page from top to bottom, but what says first that it is not run."""
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(), flags=re.DOTALL)
-    exec(compile("\n".join(blocks), page, "exec"), {})
+    exec(compile("\n".join(each for each in blocks if not each.startswith("# not run here: ")), page, "exec"), {})
 
 
 def test_the_first_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     run("start.md")
-    balanced, fell, _ = capsys.readouterr().out.splitlines()
+    balanced, fell, _, planned, estimated = capsys.readouterr().out.splitlines()
     assert balanced == dpend.Status.FULL_LENGTH.value
     assert fell == dpend.Status.LINK2_FELL.value  # as the page says of the law that knows nothing of the theory
+    assert planned.startswith("True ")
+    assert estimated == "True"
     assert (tmp_path / "run.png").stat().st_size
+
+
+def test_the_page_of_own_controllers_runs_and_says_what_by_hand_breaks(capsys):
+    run("own-controller.md")
+    balanced, fell, *broken, held = capsys.readouterr().out.splitlines()
+    assert balanced == held == dpend.Status.FULL_LENGTH.value
+    assert fell != balanced
+    assert any("turn" in line for line in broken)
+
+
+def test_the_page_of_learners_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    run("training.md")
+    *_, swung_up, paid = capsys.readouterr().out.splitlines()
+    assert swung_up == "True"
+    assert float(paid.split()[0]) > 99
 
 
 def test_the_loop_of_an_agent_ends_as_the_task_says(capsys):
@@ -89,6 +108,48 @@ def test_what_is_public_is_documented_as_numpydoc_asks(package):
             whole = {"PR01"} if get_doc_object(target)["Parameters"] else set()
             found += [(path, *each) for each in validate(path)["errors"] if each[0] not in NOT_ASKED_FOR - whole]
     assert not found, "\n".join(map(str, found))
+
+
+PAGES = {path.relative_to(DOCS).as_posix(): path.read_text() for path in [*DOCS.glob("*.md"), *DOCS.glob("learn/*.md")]}
+FROM_A_BENCHMARK = {"trajectory-optimisation.md"}  # which keeps no table
+INTERVAL = re.compile(r"(?<!U)\[([-−+]?[\d.]+), ([-−+]?[\d.]+)\]")
+
+
+def _intervals(text):
+    """Return the intervals in a text as pairs of numbers with their decimals."""
+    pairs = [[end.replace("−", "-") for end in pair] for pair in INTERVAL.findall(text)]
+    return [tuple((float(end), len(end.partition(".")[2])) for end in pair) for pair in pairs]
+
+
+@pytest.mark.parametrize("page", sorted(set(PAGES) - FROM_A_BENCHMARK))
+def test_every_interval_on_a_page_stands_in_a_table_of_a_study(page):
+    kept = {
+        (low, high)
+        for path in result_tables.RESULTS.glob("*/tables.md")
+        for (low, _), (high, _) in _intervals(path.read_text())
+    }
+    text = re.sub(r"```.*?```|\$.*?\$", "", PAGES[page], flags=re.DOTALL)
+    for (low, places), (high, more) in _intervals(text):
+        close = 0.5001 * 10.0**-places, 0.5001 * 10.0**-more
+        assert any(abs(a - low) <= close[0] and abs(b - high) <= close[1] for a, b in kept), f"[{low}, {high}]"
+
+
+@pytest.mark.parametrize("page", sorted(set(PAGES) - FROM_A_BENCHMARK - {"report.md"}))  # whose evidence is a table
+def test_no_page_repeats_a_table_of_results(page):
+    repeated = [line for line in PAGES[page].splitlines() if line.startswith("|") and INTERVAL.search(line)]
+    assert not repeated, "\n".join(repeated)
+
+
+def test_a_table_is_found_by_its_title_and_cut_to_what_is_named():
+    shown = result_tables.table("lambda_sweep_100", "Starts saved, %").part(["contender", "λ = 0.3"], ["LSPI", "LQR"])
+    assert [line[0] for line in shown.lines] == ["LSPI", "LQR"]
+    assert shown.headings == ["contender", "λ = 0.3"]
+    with pytest.raises(LookupError, match=re.escape("no column 'λ = 0.7'")):
+        shown.part(["λ = 0.7"])
+    with pytest.raises(LookupError, match="no row 'nobody'"):
+        shown.part(rows=["nobody"])
+    with pytest.raises(LookupError, match=re.escape("2 tables begin with 'Balancing, λ = 0.3', not one")):
+        result_tables.table("smoothness", "Balancing, λ = 0.3")
 
 
 def test_every_command_that_is_listed_exists():

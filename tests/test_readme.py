@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import dpend
+from docs import result_tables
 from studies import _board, _runner, lambda_sweep, leaderboard, recoverable, swing_up
 from studies._boundary import kept_boundary
-from studies._estimates import Estimate, number
+from studies._estimates import Estimate
 from studies._field import RIG, own
-from studies._step_times import StepTimes
 from studies._table import Table, load
 
 ROOT = Path(__file__).parent.parent
@@ -88,30 +88,13 @@ def test_there_are_two_commands_that_set_up_and_run():
 
 
 BALANCING = {
+    "best linear law known": "tuned linear",
     "LQR, Q = I, R = 1": "LQR",
     "iLQR MPC": "iLQR MPC",
-    "sign of a stiffer LQR, ±40 N": "sign of stiff LQR",
-    "LQR, best of 729 weights": "LQR, best weights",
-    "[linear law tuned for success](docs/tuned-linear.md)": "tuned linear",
-    "sign of a tuned linear law, ±40 N": "sign of tuned linear",
-    "Q-learning tuned": "Q tuned",
-    "Q-learning tuned, plain rule": lambda_sweep.PLAIN,
-    "Q-learning as published": "Q published",
-    "LSPI, quadratic features": "LSPI",
-    "Gaussian QAC tuned": "QAC tuned",
-    "PPO balance, one training": "PPO balance",
-    "DDPG balance, one training": "DDPG balance",
+    "LSPI, learned in 120 s": "LSPI",
+    "PPO, one training": "PPO balance",
 }
-SWINGING_UP = {
-    "iLQR MPC": "iLQR MPC",
-    "NMPC, hard limits": "NMPC",
-    "TVLQR on a stored trajectory": "TVLQR",
-    "pumping energy, planning the last swing, LQR": "pumping, iLQR, LQR",
-    "pumping energy, LQR": "pumping, LQR",
-    "DDPG, one training of 230 000 steps": "DDPG swing-up",
-    "PPO, one training of 7 100 000 steps": "PPO swing-up",
-}
-"""The lines of the README's tables and their contenders."""
+"""The lines of the README's table and their contenders."""
 
 LAMS = 0.1, 0.2, 0.3, 0.4
 
@@ -128,10 +111,6 @@ def saved(name: str) -> list[Estimate]:
     return [lambda_sweep.saved(kept(SWEEP), name, lam) for lam in LAMS]
 
 
-def line(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
 def cell(estimate: Estimate) -> str:
     """Write a share in %; an interval no wider than a fifth of a point is left out."""
     value, interval = estimate.written(".1%")
@@ -146,49 +125,30 @@ def percent(values: list[float]) -> str:
     return "/".join(f"{100 * value:.1f}".removesuffix(".0") for value in values)
 
 
-def balancing() -> list[str]:
-    """Return the lines of the README's table of balancing."""
-    lines, table = [], kept(SWEEP)
-    most = int(np.sum(table.where(contender="LQR", lam=0.1)["episodes"]))
-    for label, name in BALANCING.items():
-        own = table.where(contender=name, lam=0.1)
-        starts = int(np.sum(own["episodes"]))
-        if len(own) > 1:
-            label += f", {lambda_sweep.converged(table, name)} converged"
-        if starts < most:
-            label += f" ({starts:,} starts)".replace(",", " ")
-        tried = float(np.min(table.rows["lam"])), float(np.max(table.rows["lam"]))
-        falls = [of.written(".3f", tried) for of in reversed(lambda_sweep.falls_to(table, name))]
-        lines.append(line(label, *map(cell, saved(name)), *(" ".join(each).strip() for each in falls)))
-    area = kept_boundary()
-    can = [cell(area.share(lam)) for lam in LAMS] + [f"{area.lam(part):.3f}" for part in (0.9, 0.5)]
-    return [*lines, line("can be saved at all (areas)", *can)]
-
-
-def swinging_up() -> list[str]:
-    """Return the lines of the README's table of swing-ups."""
-    lines, table = [], kept("swing_up")
-    for label, name in SWINGING_UP.items():
-        nominal, wrong = (
-            [swing_up.runs_of(table, name, start=start, plant_error=error) for start in swing_up.STARTS]
-            for error in (0.0, 0.1)
-        )
-        shares, off = (
-            " / ".join(number(swing_up.up(runs, swing_up.HORIZON).value, ".1%").removesuffix(".0") for runs in each)
-            + f" ({len(each[0]['success'])} starts each)" * (len(each[0]["success"]) < 200)
-            for each in (nominal, wrong)
-        )
-        times = " / ".join(f"{np.nanmedian(runs['time_up'][runs['success'] == 1]):.2f}" for runs in nominal)
-        step = 1e3 * StepTimes.joined(table, contender=name, timed=True).quantile(0.5)
-        lines.append(line(label, shares, times, off, number(step, ".2g")))
-    return lines
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("written", [balancing, swinging_up])
-def test_the_tables_are_those_of_their_rows(written):
-    lacking = [each for each in written() if f"\n{each}" not in README]
+def test_the_table_is_that_of_its_rows():
+    shown, area = {}, kept_boundary()
+    for label, name in BALANCING.items():
+        starts = int(np.sum(kept(SWEEP).where(contender=name, lam=0.1)["episodes"]))
+        shown[label + f" ({starts} starts)" * (starts < 10_000)] = saved(name)
+    shown["possible at all"] = [area.share(lam) for lam in LAMS]
+    written = [f"| {label} | {' | '.join(map(cell, each))} |" for label, each in shown.items()]
+    lacking = [each for each in written if f"\n{each}\n" not in README]
     assert not lacking, "The README lacks:\n" + "\n".join(lacking)
+
+
+def test_the_numbers_beside_the_table_are_those_of_their_tables():
+    said = " ".join(README.split())
+    frozen = result_tables.table("published_q", "What the weights save").line("gustafsson2016_as_coded", "LQR")
+    numbers = " / ".join(frozen[f"θ2 random, λ = {lam}, %"].partition(" ")[0] for lam in LAMS)
+    assert f"LQR saves {numbers} %" in said
+    (experience,) = result_tables.tables("price_of_ignorance")
+    median, _, interval = experience.line("pilco2011", "structure, mirror, gravity")["first, s"].partition(" ")
+    assert f"after {median} s of experience](docs/model-based.md) {interval}" in said
+
+
+def test_the_readme_is_a_screen_and_a_half():
+    assert len(README.split()) <= 700
 
 
 @pytest.mark.slow
