@@ -30,6 +30,7 @@ extensions = [
     "sphinx_design",
     "matplotlib.sphinxext.plot_directive",
     "numpydoc",
+    "sphinx_gallery.gen_gallery",
     "study_directive",
 ]
 # Of the results only pictures, films and tables are read; arrays and jobs stay where they are.
@@ -51,6 +52,21 @@ autodoc_class_signature = "mixed"
 autodoc_preserve_defaults = True
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = False
+
+# -D plot_gallery=0 builds without running the scripts, as the tests do, which run them by themselves.
+sphinx_gallery_conf = {
+    "examples_dirs": ["../examples/gallery", "../examples/labs"],
+    "gallery_dirs": ["gallery", "labs"],
+    "filename_pattern": r"/(plot|lab)_",
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "capture_repr": (),
+    "image_srcset": ["2x"],
+    "thumbnail_size": (400, 260),
+    "show_signature": False,
+    "min_reported_time": 10,
+    "first_notebook_cell": "# Needs dpend: pip install -e . in a checkout of its repository.\n%matplotlib inline",
+}
 
 plot_formats = [("svg", 100)]
 plot_html_show_formats = False
@@ -91,6 +107,12 @@ OUTSIDE = {
 }
 """Pages whose text stands elsewhere in the repository, where people look for it."""
 
+MADE = {
+    ROOT / "examples/gallery": ROOT / "docs/gallery/index.rst",
+    ROOT / "examples/labs": ROOT / "docs/labs/index.rst",
+}
+"""Folders that pages link to, and what is made of them."""
+
 
 def read_source(app: Sphinx, docname: str, source: list[str]) -> None:
     """Take a page's text from where it stands, and let links between the two places hold in both."""
@@ -106,7 +128,7 @@ def read_source(app: Sphinx, docname: str, source: list[str]) -> None:
         target = (folder / match["path"]).resolve()
         if "://" in match["path"] or not target.exists():
             return match[0]
-        place = pages.get(target, target)
+        place = (pages | MADE).get(target, target)
         if not place.is_relative_to(ROOT / "docs"):
             return f"](path:{os.path.relpath(place, here)})"  # no page: the file itself
         return f"]({os.path.relpath(place, here)}{match['anchor'] or ''})"
