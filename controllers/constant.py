@@ -14,6 +14,8 @@ from dpend.controller import Act
 class Constant:
     """:math:`u = u_0`, whatever is measured.
 
+    Useful beside others, and as a push that does not end.
+
     Parameters
     ----------
     force : float
@@ -23,6 +25,18 @@ class Constant:
     ------
     ValueError
         If it is not finite.
+
+    See Also
+    --------
+    controllers.Zero : No force at all.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import Constant
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.simulate(rig, Constant(5.0), [0, 0, 0, 0, 0, 0], duration=0.1).u[0].round(1)
+    np.float64(5.0)
     """
 
     force: float
@@ -38,7 +52,22 @@ class Constant:
 
 
 class Zero(Constant):
-    """:math:`u = 0`: the plant's own motion."""
+    """:math:`u = 0`: the plant's own motion.
+
+    What the plant does by itself.
+
+    See Also
+    --------
+    controllers.Constant : Another force.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import Zero
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.simulate(rig, Zero(), [0, 0.1, 0, 0, 0, 0]).success
+    False
+    """
 
     def __init__(self) -> None:
         super().__init__(0.0)

@@ -117,10 +117,24 @@ class EnergySwingUp(_EnergyLaw):
     ValueError
         If the rig describes several plants or has no gravity, a gain is not greater than zero, or the law is singular.
 
+    See Also
+    --------
+    controllers.EnergyPump : Another law of the energy.
+    controllers.SwitchingController : Catch what it brings up.
+
     Notes
     -----
     Source: W. Zhong and H. Röck, *Energy and passivity based control of the double inverted pendulum on a cart*,
     IEEE Conference on Control Applications, 2001.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import EnergySwingUp
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> law = EnergySwingUp(rig)
+    >>> round(law.energy, 2)
+    9.81
     """
 
     name = "energy swing-up"
@@ -152,13 +166,63 @@ class EnergySwingUp(_EnergyLaw):
         self.k_d = checked_positive("k_d", 0.06 * math.sqrt(self.k_x * self.k_velocity) if k_d is None else k_d)
 
     def lyapunov(self, x: npt.ArrayLike) -> Array:
-        r"""Return :math:`V` of states ``(..., 6)``, which no unlimited and unheld force of this law lets rise."""
+        r"""Return :math:`V` of states ``(..., 6)``, which no unlimited and unheld force of this law lets rise.
+
+        Upright at rest in the middle it is zero.
+
+        Parameters
+        ----------
+        x : array_like (..., 6)
+            States.
+
+        Returns
+        -------
+        ndarray
+            Values, without a unit.
+
+        See Also
+        --------
+        controllers.EnergySwingUp : The law.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import EnergySwingUp
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> float(EnergySwingUp(rig).lyapunov([0, 0, 0, 0, 0, 0]).round(9))
+        0.0
+        """
         x = state_rows("x", x)
         missing = energies(x, self.rig.params).total - self.energy
         return 0.5 * (self.k_energy * missing**2 + self.k_velocity * x[..., 3] ** 2 + self.k_x * x[..., 0] ** 2)
 
     def force(self, x: npt.ArrayLike) -> Array:
-        """Return the law's answer to states ``(..., 6)``, N."""
+        """Return the law's answer to states ``(..., 6)``, N.
+
+        Hanging at rest that is zero; a run begins with a small push instead.
+
+        Parameters
+        ----------
+        x : array_like (..., 6)
+            States.
+
+        Returns
+        -------
+        ndarray
+            Forces, N.
+
+        See Also
+        --------
+        controllers.EnergySwingUp : The law.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import EnergySwingUp
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> abs(float(EnergySwingUp(rig).force(dpend.EQUILIBRIA["down-down"]))) < 1e-9
+        True
+        """
         x = state_rows("x", x)
         alpha, beta = _cart_response(x, self.rig)
         missing = energies(x, self.rig.params).total - self.energy
@@ -201,10 +265,24 @@ class EnergyPump(_EnergyLaw):
     ValueError
         If the rig describes several plants or has no gravity, or a gain is not greater than zero.
 
+    See Also
+    --------
+    controllers.EnergySwingUp : By passivity.
+    controllers.SwitchingController : Catch what it brings up.
+
     Notes
     -----
     Source: K. Åström and K. Furuta, *Swinging up a pendulum by energy control*, Automatica 36, 2000, for one link; the
     force is that of M. Spong, *Partial feedback linearization of underactuated mechanical systems*, IROS 1994.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import EnergyPump
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> run = dpend.simulate(rig, EnergyPump(rig), dpend.EQUILIBRIA["down-down"], task=dpend.SwingUp(steps=100))
+    >>> bool(dpend.energies(run.x[-1], rig.params).total > dpend.energies(run.x[0], rig.params).total)
+    True
     """
 
     name = "energy pumping"
@@ -230,16 +308,92 @@ class EnergyPump(_EnergyLaw):
         self.k_d = checked_positive("k_d", math.sqrt(self.k_x) if k_d is None else k_d)
 
     def links_energy(self, x: npt.ArrayLike) -> Array:
-        """Return the energy of the links seen from the cart, J, of states ``(..., 6)``."""
+        """Return the energy of the links seen from the cart, J, of states ``(..., 6)``.
+
+        The cart's speed is taken out of it.
+
+        Parameters
+        ----------
+        x : array_like (..., 6)
+            States.
+
+        Returns
+        -------
+        ndarray
+            Energies, J.
+
+        See Also
+        --------
+        dpend.energies : Of the whole plant.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import EnergyPump
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> pump = EnergyPump(rig)
+        >>> bool(abs(pump.links_energy([0, 0, 0, 0, 0, 0]) - pump.energy) < 1e-9)
+        True
+        """
         return energies(_moving_at(x, 0.0), self.rig.params).total
 
     def momentum(self, x: npt.ArrayLike) -> Array:
-        r"""Return :math:`\mu`, kg m/s, of states ``(..., 6)``: kinetic energy linear in the cart's speed."""
+        r"""Return :math:`\mu`, kg m/s, of states ``(..., 6)``: kinetic energy linear in the cart's speed.
+
+        Its sign says which way to push.
+
+        Parameters
+        ----------
+        x : array_like (..., 6)
+            States.
+
+        Returns
+        -------
+        ndarray
+            Momenta, kg m/s.
+
+        See Also
+        --------
+        controllers.EnergyPump.links_energy : What it changes.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import EnergyPump
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> round(float(EnergyPump(rig).momentum([0, 0, 0, 0, 1.0, 0])), 6)
+        0.75
+        """
         params = self.rig.params
         return 0.5 * (energies(_moving_at(x, 1.0), params).kinetic - energies(_moving_at(x, -1.0), params).kinetic)
 
     def force(self, x: npt.ArrayLike) -> Array:
-        """Return the law's answer to states ``(..., 6)``, N."""
+        """Return the law's answer to states ``(..., 6)``, N.
+
+        Hanging at rest that is zero; a run begins with a small push instead.
+
+        Parameters
+        ----------
+        x : array_like (..., 6)
+            States.
+
+        Returns
+        -------
+        ndarray
+            Forces, N.
+
+        See Also
+        --------
+        controllers.EnergyPump : The law.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import EnergyPump
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> abs(float(EnergyPump(rig).force(dpend.EQUILIBRIA["down-down"]))) < 1e-9
+        True
+        """
         x = state_rows("x", x)
         alpha, beta = _cart_response(x, self.rig)
         missing = (self.links_energy(x) - self.energy) / self.energy

@@ -55,6 +55,19 @@ class WithEstimator(Wrapper):
     ------
     TypeError
         If either is something else.
+
+    See Also
+    --------
+    controllers.EKF : An estimator.
+    controllers.Differences : The simplest.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LQR, Differences, WithEstimator
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.simulate(rig, WithEstimator(Differences(rig), LQR(rig)), [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     def __init__(self, estimator: Estimator, controller: Controller | Law) -> None:
@@ -94,13 +107,51 @@ class Differences:
     ----------
     rig : Rig or str
         Whose sample time is counted with.
+
+    See Also
+    --------
+    controllers.Predictor : Carry them over a delay.
+    controllers.EKF : Estimate instead.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LQR, Differences, WithEstimator
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.simulate(rig, WithEstimator(Differences(rig), LQR(rig)), [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     def __init__(self, rig: Rig | str) -> None:
         self.rig = single_rig(rig, "Differences")
 
     def follow(self, n: int) -> Follow:
-        """Return the estimator for ``n`` runs."""
+        """Return the estimator for ``n`` runs.
+
+        Memory lives in the closure, as that of a law does.
+
+        Parameters
+        ----------
+        n : int
+            Number of runs.
+
+        Returns
+        -------
+        callable
+            ``follow(t, y, force)``: measurements ``(n, 6)`` and the forces last commanded to estimates ``(n, 6)``.
+
+        See Also
+        --------
+        controllers.WithEstimator : Call it.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import Differences
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> callable(Differences(rig).follow(1))
+        True
+        """
         estimate, seen, samples = np.zeros((n, 6)), np.zeros(n, dtype=np.bool_), np.zeros((n, 1))
 
         def follow(y: Array, _: Array) -> Array:
@@ -135,13 +186,52 @@ class Predictor:
     ------
     ValueError
         If the rig describes several plants.
+
+    See Also
+    --------
+    controllers.EKF : With noise and without rates.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LQR, Predictor, WithEstimator
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> late = rig.replace(sensor_delay=2)
+    >>> law = WithEstimator(Predictor(late), LQR(rig))
+    >>> dpend.simulate(late, law, [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     def __init__(self, rig: Rig | str) -> None:
         self.rig = single_rig(rig, "Predictor")
 
     def follow(self, n: int) -> Follow:
-        """Return the estimator for ``n`` runs."""
+        """Return the estimator for ``n`` runs.
+
+        Memory lives in the closure, as that of a law does.
+
+        Parameters
+        ----------
+        n : int
+            Number of runs.
+
+        Returns
+        -------
+        callable
+            ``follow(t, y, force)``: measurements ``(n, 6)`` and the forces last commanded to estimates ``(n, 6)``.
+
+        See Also
+        --------
+        controllers.WithEstimator : Call it.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import Predictor
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> callable(Predictor(rig).follow(1))
+        True
+        """
         under_way = _UnderWay(self.rig, n)
         model = Stepper(ideal_rig(self.rig), n)
         last = np.zeros((n, 6))
@@ -292,9 +382,24 @@ class EKF(_Filter):
     ValueError
         If the rig describes several plants, or a noise has the wrong shape or sign.
 
+    See Also
+    --------
+    controllers.UKF : The same without derivatives.
+    controllers.WithEstimator : A law behind it.
+
     Notes
     -----
     Source: D. Simon, *Optimal State Estimation*, 2006, section 13.2.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import EKF, LQR, WithEstimator
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> real = rig.replace(resolution=(1e-4, 0.003, 0.003, 0, 0, 0), sensor_delay=1)
+    >>> law = WithEstimator(EKF(real), LQR(rig))
+    >>> dpend.simulate(real, law, [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     def _move(self, n: int) -> Callable[[Array, Array, Array], tuple[Array, Array]]:
@@ -329,13 +434,33 @@ class UKF(_Filter):
 
     Parameters
     ----------
-    rig, process_noise, measurement_noise, rates_noise
-        See :class:`EKF`, also for what is refused.
+    rig : Rig or str
+        What is believed, as of :class:`EKF`, also for what is refused.
+    process_noise : array_like (3,), optional
+        Standard deviations of the unknown force on cart (N), link 1 and link 2 (N m).
+    measurement_noise : array_like (3,), optional
+        Standard deviations of the measured positions, m and rad.
+    rates_noise : array_like (3,), optional
+        Standard deviations of the first guess of the rates, m/s and rad/s.
+
+    See Also
+    --------
+    controllers.EKF : By derivatives.
 
     Notes
     -----
     Source: S. Julier and J. Uhlmann, *Unscented filtering and nonlinear estimation*, 2004; I. Arasaratnam and
     S. Haykin, *Cubature Kalman filters*, 2009.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LQR, UKF, WithEstimator
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> real = rig.replace(resolution=(1e-4, 0.003, 0.003, 0, 0, 0), sensor_delay=1)
+    >>> law = WithEstimator(UKF(real), LQR(rig))
+    >>> dpend.simulate(real, law, [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     def _move(self, n: int) -> Callable[[Array, Array, Array], tuple[Array, Array]]:

@@ -85,6 +85,8 @@ class Step(IntEnum):
 class Model:
     r"""A plant of one's own, :math:`x_{k+1} = \mathrm{step}(x_k, u_k, \mathrm{parameters})`, to plan on.
 
+    The planner compiles it together with its own loops.
+
     Parameters
     ----------
     step : callable
@@ -100,6 +102,19 @@ class Model:
     sources : tuple of Path
         Files, or folders of them, that both are made of: then the machine code is kept on disk until one changes.
         Left out, it is compiled anew in each process.
+
+    See Also
+    --------
+    controllers.ILQRMPC : Plan on it in every sample.
+    controllers.ilqr : Plan on it once.
+
+    Examples
+    --------
+    >>> from controllers import Model
+    >>> def double_integrator(x, u, parameters):
+    ...     return (x[0] + 0.02 * x[3], x[1], x[2], x[3] + 0.02 * u, x[4], x[5])
+    >>> Model(step=double_integrator).slopes([0, 0, 0, 0, 0, 0])[1][3].round(6)
+    array([0.02])
     """
 
     step: Callable[..., Any]
@@ -113,7 +128,36 @@ class Model:
         return make_loops(self.step, self.linearize, self.sources)
 
     def slopes(self, x: npt.ArrayLike, u: float = 0.0) -> tuple[Array, Array]:
-        r"""Return :math:`A = \partial\,\mathrm{step}/\partial x` (6, 6) and :math:`B` (6, 1) at a state and a force."""
+        r"""Return :math:`A = \partial\,\mathrm{step}/\partial x` (6, 6) and :math:`B` (6, 1) at a state and a force.
+
+        They are those that the planner itself uses.
+
+        Parameters
+        ----------
+        x : array_like (6,)
+            The state.
+        u : float
+            The force, N.
+
+        Returns
+        -------
+        A : ndarray (6, 6)
+            A state on the next.
+        B : ndarray (6, 1)
+            The force on the next state.
+
+        See Also
+        --------
+        dpend.linearize : Of the equations in continuous time.
+
+        Examples
+        --------
+        >>> from controllers import Model
+        >>> def double_integrator(x, u, parameters):
+        ...     return (x[0] + 0.02 * x[3], x[1], x[2], x[3] + 0.02 * u, x[4], x[5])
+        >>> Model(step=double_integrator).slopes([0, 0, 0, 0, 0, 0])[0][0, 3].round(6)
+        np.float64(0.02)
+        """
         states, D = np.tile(one_state("x", x), (2, 1)), np.empty((1, 6, 8))
         self.loops.linearize(states, np.array([float(u)]), self.parameters, D)
         return D[0, :, :6].copy(), D[0, :, 6:7].copy()
@@ -186,6 +230,20 @@ def ilqr(
     ------
     ValueError
         If an argument is out of range or has the wrong shape, or the rig describes several plants.
+
+    See Also
+    --------
+    controllers.ILQRMPC : In every sample.
+    controllers.optimize : With hard limits.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import ilqr
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> plan = ilqr(rig, dpend.EQUILIBRIA["down-down"], horizon=2.5)
+    >>> plan.x.shape[1]
+    6
     """
     planner = _Planner(rig, target, horizon, Q, R, upright_only, model)
     start = one_state("x0", x0)
@@ -240,8 +298,14 @@ class ILQRMPC:
     target : str or array_like (6,)
         The name of one of ``dpend.EQUILIBRIA``, or such a state with the cart anywhere on the track.  The nearest whole
         turn counts, wherever the plan is.
-    model, horizon, Q, R
-        See :func:`ilqr`.
+    model : Model, optional
+        What it plans on in place of the rig's own equations.
+    horizon : float, optional
+        Length of the plan, s; left out, in proportion to the links' own time.
+    Q : array_like, optional
+        Weights of the residuals, ``(6,)`` or ``(6, 6)``.
+    R : float, optional
+        Weight of the force; as of :func:`ilqr`, also where left out.
     iterations : int
         Most iterations a sample for a plan; with none, the first plan is followed by its gains and the regulator's.
     starts : int
@@ -270,6 +334,11 @@ class ILQRMPC:
     ValueError
         If an argument is out of range, the rig describes several plants, or there is no regulator at the target.
 
+    See Also
+    --------
+    controllers.ilqr : One plan, offline.
+    controllers.NMPC : Hard limits, and slower.
+
     Notes
     -----
     ``act.log`` holds, sample by sample, ``status`` (:class:`controllers.ilqr.Step`), ``iterations`` and ``cost``.  The
@@ -279,6 +348,15 @@ class ILQRMPC:
 
     Rows of a batch are planned for side by side in compiled code, by as many threads as the process has cores; in a
     worker process by one.  Each row's forces are, to the bit, those that it would have alone.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import ILQRMPC
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> task = dpend.SwingUp(steps=300)
+    >>> dpend.simulate(rig, ILQRMPC(rig), dpend.EQUILIBRIA["down-down"], task=task).success
+    True
     """
 
     name = "iLQR MPC"

@@ -26,7 +26,9 @@ from .wrapping import Wrapper, holding
 class Margins(NamedTuple):
     r"""How far a sampled loop, cut at the plant's input, is from instability.
 
-    Attributes
+    Each is what the loop bears if all else is as it is believed to be.
+
+    Parameters
     ----------
     gain_low, gain_high : float
         Factors between which the gain may change.  The plant is unstable, so too little gain fails like too much.
@@ -38,10 +40,23 @@ class Margins(NamedTuple):
     delay, delay_samples : float
         Pure delay between controller and plant that brings the loop to the edge of stability, in s and in samples.
 
+    See Also
+    --------
+    controllers.LQR.margins : Compute them.
+
     Notes
     -----
     A gain is searched between 1e-4 and 1e4, a delay up to the time constant of the loop's slowest mode; a margin that
     lies beyond is given as 0 or infinite.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LQR
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> margins = LQR(rig).margins()
+    >>> margins.gain_low < 1 < margins.gain_high
+    True
     """
 
     gain_low: float
@@ -55,6 +70,8 @@ class Margins(NamedTuple):
 class LinearLaw:
     r"""Law :math:`u = -K(x - x^*)` of a given gain, which the rig saturates; angles count to the nearest whole turn.
 
+    It is the shortest way to try a gain.
+
     Parameters
     ----------
     K : array_like (6,) or (1, 6)
@@ -66,6 +83,18 @@ class LinearLaw:
     ------
     TypeError, ValueError
         If the gain is not six finite numbers, or ``target`` is no equilibrium.
+
+    See Also
+    --------
+    controllers.LQR : A gain by design.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LinearLaw
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.simulate(rig, LinearLaw([1, -150, 165, 2.5, -7, 29]), [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     name = "linear law"
@@ -130,9 +159,24 @@ class LQR(LinearLaw):
         If the rig describes several plants, a weight has the wrong shape or sign, ``target`` is no equilibrium, or
         there is no stabilising gain.
 
+    See Also
+    --------
+    controllers.LinearLaw : Of a given gain.
+    controllers.SDRE : Redesigned in every state.
+    controllers.tuned_law : Chosen by the starts it saves.
+
     Notes
     -----
     Source: B. Anderson and J. Moore, *Optimal Control: Linear Quadratic Methods*, 1990.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LQR
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> lqr = LQR(rig, Q=[1, 10, 10, 1, 1, 1], R=0.1)
+    >>> bool(abs(lqr.poles).max() < 1)
+    True
     """
 
     name = "LQR"
@@ -193,10 +237,29 @@ class LQR(LinearLaw):
     def margins(self) -> Margins:
         """Return the margins of the sampled loop :math:`L(z) = K(zI - A_d)^{-1}B_d`.
 
+        They say how wrong the model of the linear loop may be.
+
+        Returns
+        -------
+        Margins
+            Of gain, phase, both together, and delay.
+
         Raises
         ------
         ValueError
             If the loop is unstable, and so has no margins.
+
+        See Also
+        --------
+        controllers.Margins : What comes back.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import LQR
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> round(LQR(rig).margins().delay_samples, 1)
+        2.1
         """
         import control  # which imports matplotlib
 
@@ -280,6 +343,8 @@ def _weight(Q: npt.ArrayLike | None) -> Array:
 class BangBang(Wrapper):
     r"""The sign of another law, :math:`u = F\,\mathrm{sgn}(\bar u)`, :math:`\bar u` the wrapped law's force.
 
+    It is what a learner can express whose features are linear in the action.
+
     Parameters
     ----------
     controller : Controller
@@ -293,6 +358,19 @@ class BangBang(Wrapper):
         If ``controller`` is none.
     ValueError
         If the force is not greater than zero or not finite.
+
+    See Also
+    --------
+    controllers.tuned_law : Whose ``"sign"`` is one of its kind.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LQR, BangBang
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> law = BangBang(LQR(rig, Q=[1, 10, 10, 1, 1, 1], R=0.1), 40.0)
+    >>> dpend.simulate(rig, law, [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     def __init__(self, controller: Controller | Law, force: float) -> None:

@@ -122,6 +122,10 @@ class NMPC:
         If the rig describes several plants, a weight, the horizon, the margin or another number is out of its range,
         or there is no such target, cost or solver.
 
+    See Also
+    --------
+    controllers.ILQRMPC : Faster, limits as walls.
+
     Notes
     -----
     A run records ``status`` (:class:`controllers.nmpc.PlanStatus`), ``iterations`` and ``solve_time`` (s) of each step;
@@ -136,6 +140,15 @@ class NMPC:
     The solver is built when a run first needs it, once a process for equal settings; compiled code is kept in the
     user's cache folder.  Source: J. Rawlings, D. Mayne and M. Diehl, *Model Predictive Control*, 2017, chapter 8;
     L. Vanroye et al., *FATROP*, 2023.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import NMPC
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> law = NMPC(rig, setpoint=0.5)
+    >>> law.position(0.0)
+    0.5
     """
 
     batched = False
@@ -203,10 +216,34 @@ class NMPC:
     def position(self, t: float) -> float:
         """Return where the cart is to be at a time in s: the target's position and the set-point, m.
 
+        A set-point that is a function of time is looked up over the whole horizon.
+
+        Parameters
+        ----------
+        t : float
+            Time, s.
+
+        Returns
+        -------
+        float
+            Position, m.
+
         Raises
         ------
         ValueError
             If that is no number, or nearer to the track's end than the margin.
+
+        See Also
+        --------
+        controllers.NMPC : Whose ``setpoint`` it is.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import NMPC
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> NMPC(rig, setpoint=lambda t: 0.1 * t).position(2.0)
+        0.2
         """
         setpoint = self.setpoint(t) if callable(self.setpoint) else self.setpoint
         reach = float(self.rig.track_limit) - self.margin

@@ -150,12 +150,24 @@ class SDRE:
     ValueError
         If the rig describes several plants, a weight has the wrong shape or sign, or there is no gain upright.
 
+    See Also
+    --------
+    controllers.LQR : The same upright.
+
     Notes
     -----
     ``act.log["kept"]`` says for each call which rows kept their last gain.
 
     Source: A. Bogdanov, CSE-04-006, 2004, section 4; T. Çimen, *State-dependent Riccati equation (SDRE) control: a
     survey*, 2008.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import SDRE
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.simulate(rig, SDRE(rig), [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     name = "SDRE"
@@ -168,7 +180,36 @@ class SDRE:
         return f"<SDRE, upright K = {np.array2string(self.lqr.K[0], precision=4, separator=', ')}>"
 
     def gains(self, x: npt.ArrayLike) -> tuple[Array, npt.NDArray[np.bool_]]:
-        """Return the gains ``(n, 6)`` in states ``(n, 6)``, and where one was found."""
+        """Return the gains ``(n, 6)`` in states ``(n, 6)``, and where one was found.
+
+        All rows are solved for at once, by doubling.
+
+        Parameters
+        ----------
+        x : array_like (n, 6)
+            States.
+
+        Returns
+        -------
+        K : ndarray (n, 6)
+            Gains, N per unit of each state.
+        found : ndarray (n,) of bool
+            Where there is a stabilising solution.
+
+        See Also
+        --------
+        controllers.LQR : Whose gain it is upright.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import dpend
+        >>> from controllers import LQR, SDRE
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> K, found = SDRE(rig).gains(np.zeros((1, 6)))
+        >>> bool(np.allclose(K, LQR(rig).K))
+        True
+        """
         x = nearest_upright(x)
         if x.ndim != 2:
             raise ValueError(f"Expected states of shape (n, 6); got shape {x.shape}.")

@@ -40,12 +40,24 @@ class RateLimit(Wrapper):
     ValueError
         If the rig describes several plants, or the rate is not greater than zero and finite.
 
+    See Also
+    --------
+    controllers.LowPass : A filter instead of a limit.
+
     Notes
     -----
     What it costs: nothing as long as the wrapped law's force is slower than :math:`r`, apart from the start.  A sine of
     amplitude :math:`A` and angular frequency :math:`\omega` with :math:`A\omega \ge r\sqrt{1 + \pi^2/4}` comes out as
     a triangle of amplitude :math:`\pi r/2\omega`, late by the phase :math:`\arccos(\pi r/2A\omega)`: up to a quarter
     turn, the more the larger the sine, so that a loop that survives a small disturbance may not survive a large one.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LQR, RateLimit
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.simulate(rig, RateLimit(rig, LQR(rig), rate=1600.0), [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     def __init__(self, rig: Rig | str, controller: Controller | Law, rate: float) -> None:
@@ -92,6 +104,18 @@ class LowPass(Wrapper):
     ValueError
         If the rig describes several plants, neither or both of frequency and time constant are given, or one is not
         greater than zero and finite.
+
+    See Also
+    --------
+    controllers.RateLimit : A limit instead of a filter.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LQR, LowPass
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.simulate(rig, LowPass(rig, LQR(rig), frequency=16.0), [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     def __init__(
@@ -116,6 +140,8 @@ class LowPass(Wrapper):
     def response(self, frequency: float) -> complex:
         r"""Return :math:`H = (1 - q)/(1 - q\,e^{-j\omega T})`: what becomes of a sine of the wrapped law's force.
 
+        It is that of the sampled filter, up to half the sampling rate.
+
         Parameters
         ----------
         frequency : float
@@ -125,6 +151,18 @@ class LowPass(Wrapper):
         -------
         complex
             Its size is the gain, its angle the phase, negative where the force is late.
+
+        See Also
+        --------
+        controllers.LQR.margins : What phase and delay the loop bears.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import LQR, LowPass
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> round(abs(LowPass(rig, LQR(rig), frequency=4.0).response(4.0)), 1)
+        0.7
         """
         return (1 - self._decay) / (1 - self._decay * cmath.exp(-2j * math.pi * frequency * self.rig.sample_time))
 

@@ -31,6 +31,8 @@ Chosen = npt.NDArray[np.bool_]
 class Ellipsoid:
     r"""Region :math:`(x - x^*)^\top P\,(x - x^*) \le c`, angles taken to the nearest turn.
 
+    Called with states ``(n, 6)``, it says which are inside.
+
     Parameters
     ----------
     lqr : LQR
@@ -44,6 +46,19 @@ class Ellipsoid:
         If ``lqr`` is none.
     ValueError
         If the level is not greater than zero.
+
+    See Also
+    --------
+    controllers.RolloutRegion : By simulation, in every direction.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import LQR, Ellipsoid
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> region = Ellipsoid(LQR(rig), 100.0)
+    >>> region([[0, 0.01, 0.01, 0, 0, 0]])
+    array([ True])
     """
 
     def __init__(self, lqr: LQR, level: float) -> None:
@@ -60,12 +75,66 @@ class Ellipsoid:
         return self.cost(x) <= self.level
 
     def cost(self, x: npt.ArrayLike) -> Array:
-        r"""Return :math:`(x - x^*)^\top P\,(x - x^*)` of states ``(n, 6)``."""
+        r"""Return :math:`(x - x^*)^\top P\,(x - x^*)` of states ``(n, 6)``.
+
+        Near upright it is what LQR will have spent in the end.
+
+        Parameters
+        ----------
+        x : array_like (n, 6)
+            States.
+
+        Returns
+        -------
+        ndarray (n,)
+            Costs, in the units of LQR's.
+
+        See Also
+        --------
+        controllers.Ellipsoid.boundary : Where it is the level.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import LQR, Ellipsoid
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> Ellipsoid(LQR(rig), 100.0).cost([[0, 0, 0, 0, 0, 0]])
+        array([0.])
+        """
         from_target = deviation(x, self.lqr.target)
         return np.einsum("ni,ij,nj->n", from_target, self.lqr.P, from_target)
 
     def boundary(self, n: int, rng: np.random.Generator) -> Array:
-        """Draw ``n`` states on the boundary, uniform on the sphere of which it is the image."""
+        """Draw ``n`` states on the boundary, uniform on the sphere of which it is the image.
+
+        Directions that the ellipsoid stretches are drawn more often than by its surface.
+
+        Parameters
+        ----------
+        n : int
+            How many.
+        rng : numpy.random.Generator
+            What they are drawn from.
+
+        Returns
+        -------
+        ndarray (n, 6)
+            The states.
+
+        See Also
+        --------
+        controllers.Ellipsoid.calibrated : Try them.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import dpend
+        >>> from controllers import LQR, Ellipsoid
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> region = Ellipsoid(LQR(rig), 100.0)
+        >>> region.cost(region.boundary(2, np.random.default_rng(0))).round(6)
+        array([100., 100.])
+        """
         sphere = rng.standard_normal((n, 6))
         sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
         half = np.linalg.cholesky(np.linalg.inv(self.lqr.P))
@@ -167,6 +236,19 @@ class RolloutRegion:
         If ``controller`` is no controller.
     ValueError
         If it is not batched, the rig describes several plants, or a number is not greater than zero.
+
+    See Also
+    --------
+    controllers.Ellipsoid : Without a simulation.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dpend
+    >>> from controllers import LQR, RolloutRegion
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> RolloutRegion(rig, LQR(rig))(np.array([[0, 0.1, -0.1, 0, 0, 0], [0, 2.0, 0, 0, 0, 0]]))
+    array([ True, False])
     """
 
     def __init__(
@@ -218,12 +300,42 @@ class RolloutRegion:
         return rests
 
     def fallen(self, x: Array, angle: float = 0.5 * np.pi) -> npt.NDArray[np.bool_]:
-        """Return which states ``(n, 6)`` have a link further than an angle from the target's, horizontal by default."""
+        """Return which states ``(n, 6)`` have a link further than an angle from the target's, horizontal by default.
+
+        Such states are not simulated.
+
+        Parameters
+        ----------
+        x : ndarray (n, 6)
+            States.
+        angle : float
+            The angle, rad.
+
+        Returns
+        -------
+        ndarray (n,) of bool
+            Which.
+
+        See Also
+        --------
+        controllers.SwitchingController : Hand back by it.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import dpend
+        >>> from controllers import LQR, RolloutRegion
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> RolloutRegion(rig, LQR(rig)).fallen(np.array([[0, 2.0, 0, 0, 0, 0]]))
+        array([ True])
+        """
         return ~(np.abs(deviation(x, self.target)[:, 1:3]).max(axis=1) <= angle)
 
 
 class NearEnergy:
     r"""Region :math:`|E - E_r| \le \varepsilon E_r` with the cart off its track's ends: upright's energy, anywhere.
+
+    It says nothing of how fast and where the links are; a planner takes over there, not a regulator.
 
     Parameters
     ----------
@@ -238,6 +350,20 @@ class NearEnergy:
     ------
     ValueError
         If the rig describes several plants, or a number is out of range.
+
+    See Also
+    --------
+    controllers.EnergyPump : Bring it there.
+    controllers.SwitchingController : Whose region it may be.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dpend
+    >>> from controllers import NearEnergy
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> NearEnergy(rig)(np.zeros((1, 6)))
+    array([ True])
     """
 
     def __init__(self, rig: Rig | str, tolerance: float = 0.15, *, track_share: float = 0.8) -> None:
@@ -294,6 +420,11 @@ class SwitchingController:
     ValueError
         If the rig describes several plants, or there is no region by default.
 
+    See Also
+    --------
+    controllers.RolloutRegion : Where the second takes over.
+    controllers.EnergyPump : A first law.
+
     Notes
     -----
     A batched law that counts its samples, such as :class:`~controllers.tvlqr.TVLQR`, or remembers what it commanded,
@@ -302,6 +433,16 @@ class SwitchingController:
     ``act.log["caught"]`` says for each call where ``then`` was in charge.  Otherwise the log is, row by row, that of
     the law in charge, NaN where it has no entry of that name; the ``caught`` of a nested one is found under
     ``first.caught`` or ``then.caught``.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import EnergyPump, ILQRMPC, LQR, SwitchingController
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> planner = ILQRMPC(rig, horizon=0.8)
+    >>> three = SwitchingController(rig, SwitchingController(rig, EnergyPump(rig), planner), LQR(rig))
+    >>> dpend.simulate(rig, three, dpend.EQUILIBRIA["down-down"], task=dpend.SwingUp(steps=400)).success
+    True
     """
 
     def __init__(

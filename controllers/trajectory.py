@@ -23,6 +23,8 @@ _FORMAT = "dpend trajectory 1"
 class Trajectory:
     r"""States :math:`x_0 \dots x_N` and held forces :math:`u_0 \dots u_{N-1}` from a start to an equilibrium.
 
+    Arrays are read-only; ``Trajectory.load(path)`` reads what :meth:`save` wrote.
+
     Parameters
     ----------
     rig : Rig
@@ -41,6 +43,20 @@ class Trajectory:
     ValueError
         If the shapes do not fit, a number is not finite, the rig describes several plants, or the target is no
         equilibrium.
+
+    See Also
+    --------
+    controllers.optimize : Find one.
+    controllers.TVLQR : Follow one.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import shipped
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> trajectory = shipped(rig)
+    >>> trajectory.x.shape[0] == trajectory.u.shape[0] + 1
+    True
     """
 
     rig: Rig
@@ -75,13 +91,59 @@ class Trajectory:
         return self.rig.sample_time * len(self.u)
 
     def defect(self) -> float:
-        """Return greatest difference between a state and where the plant goes from the last, held for one sample."""
+        """Return greatest difference between a state and where the plant goes from the last, held for one sample.
+
+        A trajectory that holds in the simulator has hardly any.
+
+        Returns
+        -------
+        float
+            In the units of the states.
+
+        See Also
+        --------
+        controllers.violations : Limits and target as well.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> from controllers import shipped
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> shipped(rig).defect() < 1e-6
+        True
+        """
         stepper = Stepper(ideal_rig(self.rig), len(self.u))
         stepper.reset(self.x[:-1])
         return float(np.abs(stepper.step(self.u) - self.x[1:]).max())
 
     def save(self, path: str | Path) -> Path:
-        """Write a compressed ``.npz`` of plain arrays and return its path; ``.npz`` is added where it has no suffix."""
+        """Write a compressed ``.npz`` of plain arrays and return its path; ``.npz`` is added where it has no suffix.
+
+        Nothing in the file can run code.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where to.
+
+        Returns
+        -------
+        Path
+            Where it is.
+
+        See Also
+        --------
+        controllers.shipped : Those that come with the package.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from controllers import Trajectory, shipped
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = shipped("gustafsson2016").save(f"{folder}/mine")
+        ...     print(path.name, len(Trajectory.load(path).u))
+        mine.npz 125
+        """
         header = {"rig": self.rig.to_dict(), "about": dict(self.about)}
         return archive.write(path, _FORMAT, header, {"x": self.x, "u": self.u, "target": self.target})
 

@@ -53,7 +53,20 @@ _PATIENCE = 120.0  # s, after which a guess is abandoned
 
 
 class NoTrajectory(RuntimeError):
-    """No guess led the solver to a trajectory that holds in the simulator."""
+    """No guess led the solver to a trajectory that holds in the simulator.
+
+    The message says for each guess how the solver ended.
+
+    See Also
+    --------
+    controllers.optimize : Raise it.
+
+    Examples
+    --------
+    >>> from controllers import NoTrajectory
+    >>> issubclass(NoTrajectory, Exception)
+    True
+    """
 
 
 def _solver(rig: Rig, N: int, objective: Objective, smoothing: float, unit: float, solver: Plugin) -> NLPSolver:
@@ -117,6 +130,8 @@ def optimize(
 ) -> Trajectory:
     r"""Minimise effort in a given time, or time, from a start at rest to an equilibrium, within the limits.
 
+    Which objective, and how the program is written, is in the module's docstring.
+
     Parameters
     ----------
     rig : Rig or str
@@ -159,6 +174,18 @@ def optimize(
         If an argument is out of range.
     NoTrajectory
         If no guess led to a trajectory.
+
+    See Also
+    --------
+    controllers.TVLQR : Follow what it finds.
+    controllers.ilqr : Without hard limits, and quicker.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import optimize
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> optimize(rig, duration=2.5)  # doctest: +SKIP
     """
     rig = single_rig(rig, "optimize")
     checked_name("objective", objective, ("effort", "time"))
@@ -343,6 +370,8 @@ def _solved(
 def violations(trajectory: Trajectory, *, track_margin: float = 0.0) -> str:
     """Say what a trajectory breaks: the plant's motion, a limit, or its target; an empty string if nothing.
 
+    It is how a solver's result is judged before it is kept.
+
     Parameters
     ----------
     trajectory : Trajectory
@@ -354,6 +383,18 @@ def violations(trajectory: Trajectory, *, track_margin: float = 0.0) -> str:
     -------
     str
         The violations with their sizes, or nothing.
+
+    See Also
+    --------
+    controllers.Trajectory.defect : The motion alone.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import shipped, violations
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> violations(shipped(rig))
+    ''
     """
     rig = trajectory.rig
     found = {

@@ -75,6 +75,8 @@ class TuningCost(NamedTuple):
 class TunedLaw:
     """A linear law chosen by the starts that it saves, and what the choice cost; a controller like any other.
 
+    ``K`` is its gain, whichever kind it is.
+
     Parameters
     ----------
     rig : Rig
@@ -89,6 +91,18 @@ class TunedLaw:
         Evaluations, runs, simulated and processor time.
     about : mapping
         The settings, as JSON can hold them.
+
+    See Also
+    --------
+    controllers.tuned_law : One that is shipped.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import tuned_law
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.simulate(rig, tuned_law(rig, "gain"), [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     rig: Rig
@@ -121,7 +135,32 @@ class TunedLaw:
         return self.controller.start(n, rng)
 
     def save(self, path: str | Path) -> Path:
-        """Write an archive of plain arrays with a checksum, and return its path; nothing in it can run code."""
+        """Write an archive of plain arrays with a checksum, and return its path; nothing in it can run code.
+
+        Settings and cost are kept with it.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where to; ``.npz`` is added where it has no suffix.
+
+        Returns
+        -------
+        Path
+            Where it is.
+
+        See Also
+        --------
+        controllers.tuned_law : Read those that are shipped.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from controllers import tuned_law
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     print(tuned_law("gustafsson2016", "gain").save(f"{folder}/mine").name)
+        mine.npz
+        """
         header = {"rig": self.rig.to_dict(), "law": self.law, "saved": self.saved, "cost": self.cost._asdict()}
         return archive.write(path, _FORMAT, header | {"about": dict(self.about)}, {"numbers": self.numbers})
 
@@ -160,14 +199,30 @@ def tuned_gain(
     seed : int
         Of starts and candidates.  The starts are from a stream of their own, apart from those of every comparison.
 
+    Returns
+    -------
+    TunedLaw
+        The law, its gain and what finding it cost.
+
     Raises
     ------
     ValueError
         If a number is out of its range, or the sign is asked for on a rig without a limit of the force.
 
+    See Also
+    --------
+    controllers.tuned_law : Those that are shipped.
+
     Notes
     -----
     Source: N. Hansen, *The CMA evolution strategy: a tutorial*, 2016, in his package ``cma``.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import tuned_gain
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> tuned_gain(rig, lam=0.3, starts=50, evaluations=320, seed=1)  # doctest: +SKIP
     """
     import cma  # which imports matplotlib
 
@@ -189,7 +244,7 @@ def tuned_weights(
     rig: Rig | str, *, grid: Mapping[str, Sequence[float]] = GRID, lam: Spread = (0.3, 0.4, 0.5, 0.6), starts: int = 25,
     seed: int = 0,
 ) -> TunedLaw:  # fmt: skip
-    """Return LQR with the weights of a grid that save most starts.
+    r"""Return LQR with the weights of a grid that save most starts.
 
     Every combination is tried on the same starts, then the best twentieth on ten times as many, and scored as
     :func:`tuned_gain` does.
@@ -200,13 +255,33 @@ def tuned_weights(
         The plant, or a preset's name.
     grid : mapping of str to sequence of float
         Weights to try, by names of the states and ``"R"``.
-    lam, starts, seed
-        As of :func:`tuned_gain`.
+    lam : float or sequence of float
+        :math:`\lambda` of ``dpend.Balance``, rad, or several, which count alike.
+    starts : int
+        Starts at each.
+    seed : int
+        Of the starts.
+
+    Returns
+    -------
+    TunedLaw
+        The regulator, its weights and what finding them cost.
 
     Raises
     ------
     ValueError
         If a number is out of its range, or the grid lacks a state, or R.
+
+    See Also
+    --------
+    controllers.tuned_law : Those that are shipped.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import tuned_weights
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> tuned_weights(rig, starts=20)  # doctest: +SKIP
     """
     rig = single_rig(rig, "tuned_weights")
     if set(grid) != set(GRID):
@@ -222,6 +297,8 @@ def tuned_weights(
 def tuned_law(rig: Rig | str, law: str) -> TunedLaw:
     """Return the best law of a kind for a rig: the one that comes with the package, or where none does, one tuned now.
 
+    Tuning takes about a minute.
+
     Parameters
     ----------
     rig : Rig or str
@@ -229,6 +306,24 @@ def tuned_law(rig: Rig | str, law: str) -> TunedLaw:
     law : {"gain", "sign", "weights"}
         What :func:`tuned_gain` returns by default; what it does with ``bang_bang=True``, begun there; or what
         :func:`tuned_weights` does.
+
+    Returns
+    -------
+    TunedLaw
+        The law, its gain and what finding it cost.
+
+    See Also
+    --------
+    controllers.tuned_gain : Tune one.
+    controllers.LQR : Designed for a quadratic cost.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import tuned_law
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> tuned_law(rig, "gain").K.shape
+    (1, 6)
     """
     rig = single_rig(rig, "tuned_law")
     checked_name("law", law, _NAMES)

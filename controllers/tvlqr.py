@@ -92,9 +92,23 @@ class TVLQR:
         If the rig describes several plants, a weight has the wrong shape or sign, or the trajectory was planned for
         another plant or clock, or stops short of its target.
 
+    See Also
+    --------
+    controllers.optimize : Find a trajectory.
+    controllers.shipped : Those that come with the package.
+
     Notes
     -----
     Source: B. Anderson and J. Moore, *Optimal Control: Linear Quadratic Methods*, 1990.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import TVLQR
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> task = dpend.SwingUp(steps=300)
+    >>> dpend.simulate(rig, TVLQR(rig), dpend.EQUILIBRIA["down-down"], task=task).success
+    True
     """
 
     name = "TVLQR"

@@ -9,6 +9,7 @@ from pathlib import Path
 from pkgutil import resolve_name
 
 from docutils import nodes
+from protocols import completed
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
@@ -136,6 +137,12 @@ def read_source(app: Sphinx, docname: str, source: list[str]) -> None:
     source[0] = re.sub(r"\]\((?P<path>[^)#\s]+)(?P<anchor>#[^)\s]*)?\)", moved, source[0])
 
 
+def complete(_app: Sphinx, what: str, _name: str, member: object, _options: object, lines: list[str]) -> None:
+    """Document a method that implements a protocol's with what the protocol says of it."""
+    if what == "method" and callable(member):
+        lines[:] = completed(member).splitlines()
+
+
 def skip_member(_app: Sphinx, _what: str, _name: str, member: object, _skip: bool, _options: object) -> bool | None:
     """Pass over what a NamedTuple says of its fields by itself, which is only their number."""
     return True if (getattr(member, "__doc__", None) or "").startswith("Alias for field number") else None
@@ -160,3 +167,4 @@ def setup(app: Sphinx) -> None:
     app.connect("missing-reference", text_of_inner_name)
     app.connect("source-read", read_source)
     app.connect("autodoc-skip-member", skip_member)
+    app.connect("autodoc-process-docstring", complete, priority=400)  # before numpydoc

@@ -52,6 +52,8 @@ class ContractError(AssertionError):
 def check_controller(controller: Controller | Law, rig: Rig | str, *, skip: Collection[str] = ()) -> None:
     """Check that a controller keeps the contract of all controllers, on a rig; return nothing where it does.
 
+    Each check is a function of ``dpend.check``, and says in its message how to mend what it found.
+
     Parameters
     ----------
     controller : Controller or callable
@@ -67,6 +69,17 @@ def check_controller(controller: Controller | Law, rig: Rig | str, *, skip: Coll
         If an argument is wrong: what came is no controller, or there is no such check.
     ContractError
         If a check fails; it names all that do, in an order in which the first is often the cause of others.
+
+    See Also
+    --------
+    dpend.check.controller_checks : One test a check.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> from controllers import LQR
+    >>> dpend.check_controller(LQR(rig), rig)
     """
     made = as_controller(controller)
     _hold(name_of(made), controller_checks(controller), skip, made, single_rig(rig, "check_controller"))
@@ -97,6 +110,17 @@ def check_learner(
         If an argument is wrong: what came is no learner, or there is no such check.
     ContractError
         If a check fails; it names all that do.
+
+    See Also
+    --------
+    dpend.check_controller : The same of a controller.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> from rl import LSPI
+    >>> dpend.check_learner(LSPI(rig))  # doctest: +SKIP
     """
     checked_positive("seconds", seconds, "s")
     alone = hasattr(learner, "train") and not isinstance(learner, type)

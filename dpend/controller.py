@@ -33,10 +33,32 @@ class Controller(Protocol):
 
     ``mirrored = True`` claims that mirrored measurements have mirrored forces, :math:`u(-y) = -u(y)`.
     ``dpend.check_controller`` holds a controller to this, and to what all of them keep to.
+
+    Parameters
+    ----------
+    *args, **kwargs : Any
+        A controller is built as its class says; the protocol asks for nothing.
+
+    See Also
+    --------
+    dpend.check_controller : Hold a controller to the contract.
+    dpend.simulate : Run one.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> class ByHand:
+    ...     def start(self, n, rng):
+    ...         return lambda t, y: y @ [-1, 150, -165, -2.5, 7, -29]
+    >>> dpend.simulate(rig, ByHand(), [0, 0.1, -0.1, 0, 0, 0], duration=1.0).success
+    True
     """
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs side by side, with memory of its own.
+
+        What a run remembers lives in the closure, so that one controller serves many runs at once.
 
         Parameters
         ----------
@@ -51,6 +73,18 @@ class Controller(Protocol):
         -------
         callable
             ``act(t, y)``: time in s and measurements ``(n, 6)`` to forces ``(n,)`` in N.
+
+        See Also
+        --------
+        dpend.simulate_many : Start a law and run it.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from controllers import LQR
+        >>> act = LQR("gustafsson2016").start(2, np.random.default_rng(0))
+        >>> act(0.0, np.zeros((2, 6))).shape
+        (2,)
         """
         ...
 
@@ -58,10 +92,35 @@ class Controller(Protocol):
 class LawError(ValueError):
     """A law, or a push, that failed while it ran: the message says whose, when and for which rows.
 
+    The law's own exception is its cause.
+
+    Parameters
+    ----------
+    message : str
+        What happened.
+    runs : Runs
+        The runs up to then.
+
     Attributes
     ----------
     runs : Runs
         The runs up to then; those that were going on end as ``Status.CONTROLLER_FAILED``.
+
+    See Also
+    --------
+    dpend.simulate_many : Raise it.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> def broken(t, x):
+    ...     raise ZeroDivisionError
+    >>> try:
+    ...     dpend.simulate(rig, broken, [0, 0.1, 0, 0, 0, 0], duration=1.0)
+    ... except dpend.LawError as error:
+    ...     print(type(error.__cause__).__name__)
+    ZeroDivisionError
     """
 
     def __init__(self, message: str, runs: Any = None) -> None:

@@ -66,7 +66,9 @@ _UNKNOWN = 1.0  # a standard error, as a share of the value, at which a paramete
 class Identified:
     r"""Parameters that motion was found to have, and how far they can be trusted.
 
-    Attributes
+    Printed, it is a table of values, standard errors and intervals.
+
+    Parameters
     ----------
     params : Params
         The plant: the start's parameters with the fitted ones changed.
@@ -87,6 +89,19 @@ class Identified:
         and the intervals are too narrow.
     residuals : ndarray (S, L, len(outputs))
         Simulated less measured outputs of ``S`` segments of ``L`` samples, m and rad.
+
+    See Also
+    --------
+    dpend.identify : Find them.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> run = dpend.simulate(rig, lambda t, x: 0.0, [0, 3.0, 3.3, 0, 0, 0], duration=2.0, task=None)
+    >>> found = dpend.identify(run, rig, ["mass1"])
+    >>> round(found.values["mass1"], 3)
+    0.5
     """
 
     params: Params
@@ -161,6 +176,11 @@ def identify(
     UserWarning
         If what the model leaves is no noise, so that the intervals are too narrow.
 
+    See Also
+    --------
+    dpend.Run.from_csv : Read a recording.
+    dpend.Identified : What comes back.
+
     Notes
     -----
     Standard errors come from the Jacobian at the solution, with the initial states eliminated:
@@ -169,6 +189,15 @@ def identify(
 
     Sources: L. Ljung, *System Identification*, 1999, chapter 7; G. Golub and V. Pereyra, *Separable nonlinear least
     squares*, 2003; H. Bock, *Recent advances in parameter identification techniques for O.D.E.*, 1983.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> run = dpend.simulate(rig, lambda t, x: 0.0, [0, 3.0, 3.3, 0, 0, 0], duration=2.0, task=None)
+    >>> found = dpend.identify(run, rig.replace(mass1=0.6), ["mass1"])
+    >>> round(found.values["mass1"], 3)
+    0.5
     """
     from scipy.stats import t as student  # kept out of `import dpend`
 

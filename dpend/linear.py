@@ -30,7 +30,9 @@ def linearize(params: Params, x: npt.ArrayLike | None = None, u: float = 0.0) ->
     Returns
     -------
     A : ndarray (6, 6)
+        States on their own rates.
     B : ndarray (6, 1)
+        Force on the states' rates, per N.
 
     Raises
     ------
@@ -39,9 +41,23 @@ def linearize(params: Params, x: npt.ArrayLike | None = None, u: float = 0.0) ->
     ValueError
         If ``params`` describes several plants, or ``x`` is not one finite state.
 
+    See Also
+    --------
+    dpend.discretize : The same, sampled.
+    dpend.rates : What is linearized.
+
     Notes
     -----
     Source: W. Squire and G. Trapp, *Using complex variables to estimate derivatives of real functions*, 1998.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> A, B = dpend.linearize(rig.params)
+    >>> np.sort(np.linalg.eigvals(A).real)[-2:].round(2)
+    array([3.32, 7.67])
     """
     if checked_params("linearize", params).n is not None:
         raise ValueError(f"linearize takes one plant; got Params with arrays of {params.n} rows.")
@@ -71,7 +87,9 @@ def discretize(A: npt.ArrayLike, B: npt.ArrayLike, sample_time: float) -> tuple[
     Returns
     -------
     Ad : ndarray (n, n)
+        A state on the next.
     Bd : ndarray (n, m)
+        An input on the next state.
 
     Raises
     ------
@@ -80,9 +98,21 @@ def discretize(A: npt.ArrayLike, B: npt.ArrayLike, sample_time: float) -> tuple[
     ValueError
         If the shapes do not fit, a number is not finite, or the sample time is not greater than zero.
 
+    See Also
+    --------
+    dpend.linearize : The plant to sample.
+
     Notes
     -----
     Source: C. Van Loan, *Computing integrals involving the matrix exponential*, 1978.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> Ad, Bd = dpend.discretize(*dpend.linearize(rig.params), rig.sample_time)
+    >>> Ad.shape, Bd.shape
+    ((6, 6), (6, 1))
     """
     from scipy.linalg import expm  # kept out of `import dpend`
 

@@ -139,6 +139,18 @@ class Params:
         If a field is not a number, or an array of one number a row.
     ValueError
         If a field is out of its range, or link 2 has no moment of inertia about its joint at all.
+
+    See Also
+    --------
+    dpend.Rig : A plant with its clock and limits.
+    dpend.rig : Those that are named.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> params = dpend.Params(cart_mass=1.0, mass1=0.5, mass2=0.5, length1=1.0, length2=1.0)
+    >>> dpend.rates([0, 0, 0, 0, 0, 0], 1.0, params).shape
+    (6,)
     """
 
     cart_mass: Number
@@ -199,7 +211,26 @@ class Params:
         )
 
     def coefficients(self) -> Coefficients:
-        """Return the lumped coefficients of the equations of motion."""
+        r"""Return the lumped coefficients of the equations of motion.
+
+        They are worked out anew at each call, so that they cannot fall behind the fields.
+
+        Returns
+        -------
+        Coefficients
+            :math:`d_1 \dots d_6`, :math:`f_1, f_2` and the frictions, floats or ``(N,)``.
+
+        See Also
+        --------
+        dpend.rates : The equations that they enter.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> float(rig.params.coefficients().d1)
+        2.0
+        """
         com1, com2 = self.centers
         inertia1, inertia2 = self.inertias
         d2 = self.mass1 * com1 + self.mass2 * self.length1
@@ -223,7 +254,26 @@ class Params:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields by name, as they were set."""
+        """Return the fields by name, as they were set.
+
+        ``Params(**params.to_dict())`` is the same plant; what was left out stays None.
+
+        Returns
+        -------
+        dict
+            Floats, arrays ``(N,)`` or None.
+
+        See Also
+        --------
+        dpend.Rig.to_dict : The same of a rig.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> rig.params.to_dict()["length1"]
+        1.0
+        """
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def __eq__(self, other: object) -> bool:

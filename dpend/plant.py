@@ -49,6 +49,8 @@ class Positions(NamedTuple):
 def rates(x: npt.ArrayLike, u: npt.ArrayLike, params: Params) -> npt.NDArray[Any]:
     r"""Return :math:`\dot x = (\dot q, D^{-1}(f - f_\text{friction} - C\dot q - G))`.
 
+    These are the equations of motion, stated once for every kind of number.
+
     Parameters
     ----------
     x : array_like
@@ -70,6 +72,18 @@ def rates(x: npt.ArrayLike, u: npt.ArrayLike, params: Params) -> npt.NDArray[Any
         If states or forces are not numbers, or ``params`` is something else, such as a rig.
     ValueError
         If a state does not have six numbers, or the forces or plants have another shape.
+
+    See Also
+    --------
+    dpend.linearize : Their derivatives.
+    dpend.reference : Their solution.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.rates([0, 0, 0, 0, 0, 0], 1.0, rig.params)[3:] > 0
+    array([ True, False,  True])
     """
     x = state_rows("x", x, complex_too=True)
     u = checked_array("u", u, "forces on the cart, or generalised forces (..., 3)", finite=False, complex_too=True)
@@ -95,15 +109,31 @@ def _unfit(x: npt.NDArray[Any], params: Params, forces: str = "") -> ValueError:
 def energies(x: npt.ArrayLike, params: Params) -> Energies:
     r"""Return :math:`T = \tfrac12\dot q^\top D\dot q` and :math:`V = f_1\cos\theta_1 + f_2\cos\theta_2` in J.
 
+    The potential energy is zero where both centres of mass are at the height of the cart's joint.
+
     Parameters
     ----------
-    x, params
-        See :func:`rates`, also for what is refused.
+    x : array_like
+        States ``(..., 6)``.
+    params : Params
+        The plant, or one plant per row where its fields are arrays.
 
     Returns
     -------
     Energies
         ``kinetic`` and ``potential``, each ``(...)``; ``total`` is their sum.
+
+    See Also
+    --------
+    dpend.positions : Where joint and tip are.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> energy = dpend.energies([0, 0, 0, 0, 0, 0], rig.params)
+    >>> float(energy.kinetic), round(float(energy.potential), 2)
+    (0.0, 9.81)
     """
     x, c = state_rows("x", x, complex_too=True), checked_params("energies", params).coefficients()
     try:
@@ -115,15 +145,30 @@ def energies(x: npt.ArrayLike, params: Params) -> Energies:
 def positions(x: npt.ArrayLike, params: Params) -> Positions:
     """Return where the second joint and the tip are, in m.
 
+    Heights count from the cart's joint.
+
     Parameters
     ----------
-    x, params
-        See :func:`rates`, also for what is refused.
+    x : array_like
+        States ``(..., 6)``.
+    params : Params
+        The plant, or one plant per row where its fields are arrays.
 
     Returns
     -------
     Positions
         ``x_joint``, ``y_joint``, ``x_tip``, ``y_tip``, each ``(...)``.
+
+    See Also
+    --------
+    dpend.energies : How high, in J.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> float(dpend.positions([0, 0, 0, 0, 0, 0], rig.params).y_tip)
+    2.0
     """
     x, c = state_rows("x", x, complex_too=True), checked_params("positions", params).coefficients()
     try:
@@ -136,6 +181,8 @@ def reference(
     params: Params, x0: npt.ArrayLike, u: npt.ArrayLike, t: npt.ArrayLike, *, rtol: float = 1e-12, atol: float = 1e-12
 ) -> Array:
     r"""Return :math:`x(t)` of :math:`\dot x = \mathrm{rates}(x, u)` by DOP853, as a check on the fixed-step integrator.
+
+    It takes milliseconds where the fixed step takes microseconds.
 
     Parameters
     ----------
@@ -164,6 +211,17 @@ def reference(
         forces do not match the intervals between them.
     RuntimeError
         If an interval takes more than 30 000 evaluations of the rates, as from rates beyond all reason.
+
+    See Also
+    --------
+    dpend.simulate : With the fixed step.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> dpend.reference(rig.params, [0, 0, 0, 0, 0, 0], [1.0], [0.0, 0.1]).shape
+    (2, 6)
     """
     if checked_params("reference", params).n is not None:
         raise ValueError(f"reference takes one plant; got Params with arrays of {params.n} rows.")

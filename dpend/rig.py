@@ -108,10 +108,12 @@ class Rig:
     actuator_lag : float
         Time constant :math:`\tau` of the actuator, s: each sample the force moves by the share
         :math:`1 - e^{-T/\tau}` towards the command.
-    actuator_delay, sensor_delay : int
-        Whole samples by which commands and measurements are late.
+    actuator_delay : int
+        Whole samples by which commands are late.
     force_noise : float
         Standard deviation of the force's noise, N, drawn each sample.
+    sensor_delay : int
+        Whole samples by which measurements are late.
     sensor_noise : float or (6,) or (N, 6)
         Standard deviation of the noise of each measured state, in its unit.
     resolution : float or (6,) or (N, 6)
@@ -121,6 +123,18 @@ class Rig:
     ------
     TypeError, ValueError
         If a field is of the wrong kind or out of range; the message names field, bound and value.
+
+    See Also
+    --------
+    dpend.rig : Presets by name.
+    dpend.Rig.replace : Another in some fields.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> rig.sample_time, rig.force_limit, rig.track_limit
+    (0.02, 40.0, 2.4)
     """
 
     params: Params
@@ -180,10 +194,33 @@ class Rig:
     def replace(self, **changes: Any) -> Rig:
         """Return a rig with some fields of its own or of its ``params`` changed.
 
+        The rig itself stays as it is.
+
+        Parameters
+        ----------
+        **changes : Any
+            Fields of the rig or of its plant by name; ``params`` replaces the whole plant.
+
+        Returns
+        -------
+        Rig
+            The other rig.
+
         Raises
         ------
         TypeError
             If neither ``Rig`` nor ``Params`` has a field of that name; the message suggests the nearest.
+
+        See Also
+        --------
+        dpend.Rig : All fields.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> rig.replace(mass1=0.6, sensor_noise=0.002).params.mass1
+        0.6
         """
         known = {field.name for field in fields(Rig)} | _PLANT_FIELDS
         for name in changes:
@@ -196,7 +233,32 @@ class Rig:
         return replace(self, params=params, **changes)
 
     def rows(self, rows: slice | int) -> Rig:
-        """Return the rig of some rows of a batch, or of one: array fields are cut, single values stay."""
+        """Return the rig of some rows of a batch, or of one: array fields are cut, single values stay.
+
+        It is how batches are cut into parts.
+
+        Parameters
+        ----------
+        rows : slice or int
+            Which rows.
+
+        Returns
+        -------
+        Rig
+            Of a slice a rig of several rows, of a number a single one.
+
+        See Also
+        --------
+        dpend.simulate_many : Take one rig a row.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> many = rig.replace(mass1=[0.4, 0.5, 0.6])
+        >>> many.rows(2).params.mass1
+        0.6
+        """
         if self.n is None:
             return self
         own = {name: value[rows] if _is_per_row(name, value) else value for name, value in self._own().items()}
@@ -204,7 +266,26 @@ class Rig:
         return Rig(params=Params(**plant), **own)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fields by name, ``params`` as a dict of its own."""
+        """Return the fields by name, ``params`` as a dict of its own.
+
+        It is what records of runs and policies keep.
+
+        Returns
+        -------
+        dict
+            Plain numbers and arrays.
+
+        See Also
+        --------
+        dpend.Rig.to_toml : A file of the same.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> sorted(rig.to_dict())[:2]
+        ['actuator_delay', 'actuator_lag']
+        """
         return {"params": self.params.to_dict()} | self._own()
 
     @classmethod
@@ -225,6 +306,28 @@ class Rig:
         """Write the rig as TOML, to its end or not at all, and return the path.
 
         The rig's own fields stand first, then the plant's under ``[params]``.  An OSError says why nothing was written.
+
+        Parameters
+        ----------
+        path : str or Path
+            Where to.
+
+        Returns
+        -------
+        Path
+            The path.
+
+        See Also
+        --------
+        dpend.rig : Read it again.
+
+        Examples
+        --------
+        >>> import dpend, tempfile
+        >>> rig = dpend.rig("pilco2011")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     print(dpend.rig(str(rig.to_toml(f"{folder}/mine.toml"))) == rig)
+        True
         """
         path = Path(path)
         lines = [*_toml_lines(self._own()), "", "[params]", *_toml_lines(self.params.to_dict())]
@@ -415,11 +518,18 @@ PRESETS: MappingProxyType[str, Callable[[], Rig]] = MappingProxyType(
 def rig(name: str) -> Rig:
     """Return the preset rig of that name, or the rig that a TOML file describes.
 
+    Whatever takes a rig takes its name, too.
+
     Parameters
     ----------
     name : str
         One of those that :func:`rigs` lists, or the path of a file, ending in ``.toml``, that
         :meth:`Rig.from_toml` reads.
+
+    Returns
+    -------
+    Rig
+        The rig.
 
     Raises
     ------
@@ -427,6 +537,18 @@ def rig(name: str) -> Rig:
         If the file cannot be read.
     ValueError
         If there is no such preset, where the message suggests the nearest, or the file describes no rig.
+
+    See Also
+    --------
+    dpend.rigs : All names.
+    dpend.Rig : What comes back.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> rig.replace(force_limit=20.0).force_limit
+    20.0
     """
     if isinstance(name, str | Path) and Path(name).suffix == ".toml":
         return Rig.from_toml(name)
@@ -448,7 +570,25 @@ def as_rig(rig_or_name: Rig | str) -> Rig:
 
 
 def rigs() -> dict[str, str]:
-    """Return what each preset rig is, and its source, by name."""
+    """Return what each preset rig is, and its source, by name.
+
+    The docstring of each preset names the plant's source.
+
+    Returns
+    -------
+    dict of str to str
+        A line by name.
+
+    See Also
+    --------
+    dpend.rig : One of them.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> "pilco2011" in dpend.rigs()
+    True
+    """
     return {name: " ".join((build.__doc__ or "").split()) for name, build in PRESETS.items()}
 
 

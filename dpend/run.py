@@ -105,30 +105,47 @@ class _States:
 class Run(_Record):
     """One run, cut at its end; ``T`` samples.
 
-    Attributes
+    Arrays are read-only views of what was recorded; nothing is computed anew but what the methods return.
+
+    Parameters
     ----------
     t : ndarray (T + 1,)
         Times of the samples, s.
-    x, y : ndarray (T + 1, 6)
-        True and measured states.
     u : ndarray (T,)
         Forces applied over each sample, N.
     step_time : ndarray (T,)
         Seconds that the controller took for each.
+    rig : Rig
+        The true rig.
+    controller, task : str
+        What ran, in words.
+    seed : int
+        What its disturbances were drawn from, with ``row``.
     log : mapping of str to ndarray (T,)
         What the controller logged of each of its steps, such as a solver's iterations.
+    x, y : ndarray (T + 1, 6)
+        True and measured states.
     status : Status
         How the run ended.
     success : bool
         Whether it did what its task asks.
     time_up : float
         When both links were up for good, s; NaN where they never were, or the task does not ask.
-    rig : Rig
-        The true rig.
-    controller, task : str
-        What ran, in words.
-    seed, row : int
-        What its disturbances were drawn from.
+    row : int
+        Its number in the batch.
+
+    See Also
+    --------
+    dpend.simulate : Make one.
+    dpend.Runs : Many side by side.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> run = dpend.simulate(rig, lambda t, x: 0.0, [0, 0.1, 0.1, 0, 0, 0])
+    >>> run.status.value
+    'Link 1 fell: it leans by more than a quarter turn.'
     """
 
     _FORMAT = "dpend run 1"
@@ -143,7 +160,28 @@ class Run(_Record):
         return f"<run of {self.controller}, {self.t[-1]:g} s: {self.status.value}>"
 
     def metrics(self) -> dict[str, float]:
-        """Return the run's figures of merit; their units are in ``dpend.metrics.UNITS``."""
+        """Return the run's figures of merit; their units are in ``dpend.metrics.UNITS``.
+
+        They do not depend on the rate of recording.
+
+        Returns
+        -------
+        dict of str to float
+            ``success``, ``time_up``, ``travel`` and those of the force.
+
+        See Also
+        --------
+        dpend.Run.smoothness : What asks for two numbers.
+        dpend.metrics.UNITS : The units.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> run = dpend.simulate(rig, lambda t, x: 0.0, [0, 0.1, 0.1, 0, 0, 0])
+        >>> run.metrics()["effort"]
+        0.0
+        """
         of_force = force_metrics(
             self.u[None], self.rig.sample_time, self.rig.force_limit, force_noise=self.rig.force_noise
         )
@@ -155,6 +193,8 @@ class Run(_Record):
 
     def smoothness(self, *, lag: float = 0.01, cutoff: float = 5.0) -> dict[str, float]:
         """Return ``slew``, ``spectral_share``, ``caps_sm`` and ``std_step`` of the force.
+
+        They tell a quiet force from a restless one of the same effort.
 
         Parameters
         ----------
@@ -172,6 +212,18 @@ class Run(_Record):
         ------
         ValueError
             If ``lag`` or ``cutoff`` is not a finite number greater than zero.
+
+        See Also
+        --------
+        dpend.Run.metrics : Success, effort, variation.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> run = dpend.simulate(rig, lambda t, x: 0.0, [0, 0.1, 0.1, 0, 0, 0])
+        >>> run.smoothness()["slew"]
+        0.0
         """
         measured = smoothness_metrics(self.u[None], self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
         return {name: float(value[0]) for name, value in measured.items()}
@@ -190,16 +242,45 @@ class Run(_Record):
         return f'<p>{words}</p><img width="480" src="data:image/png;base64,{picture}">'
 
     def show(self) -> None:
-        """Show :meth:`plot`: in the notebook, or in a window until that is closed."""
+        """Show :meth:`plot`: in the notebook, or in a window until that is closed.
+
+        Without a display it draws nothing.
+
+        See Also
+        --------
+        dpend.Run.plot : The figure itself.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> run = dpend.simulate(rig, lambda t, x: 0.0, [0, 0.1, 0.1, 0, 0, 0])
+        >>> run.show()  # doctest: +SKIP
+        """
         self.plot().show()
 
     def plot(self) -> Plot:
         """Return position, angles, rates and force drawn against time, and pushes where there were any.
 
+        It is drawn without a global figure, so that nothing has to be closed.
+
         Returns
         -------
         matplotlib.figure.Figure
             Notebooks show it; ``figure.savefig(path)`` writes it, ``figure.show()`` opens a window.
+
+        See Also
+        --------
+        dpend.Run.animate : A film.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> run = dpend.simulate(rig, lambda t, x: 0.0, [0, 0.1, 0.1, 0, 0, 0])
+        >>> figure = run.plot()
+        >>> len(figure.axes) >= 3
+        True
         """
         from .draw import plot_run
 
@@ -207,6 +288,8 @@ class Run(_Record):
 
     def animate(self, path: str | Path, *, fps: float = 25, speed: float = 1.0) -> Film:
         """Return the path of an animation, written there: a GIF, or an MP4 where ffmpeg is there.
+
+        Time and force stand above the picture.
 
         Parameters
         ----------
@@ -231,6 +314,17 @@ class Run(_Record):
             If an MP4 is asked for and there is no ffmpeg, or ffmpeg fails.
         OSError
             If the folder cannot be written to; before anything is drawn.
+
+        See Also
+        --------
+        dpend.draw.animate_scenes : Several runs side by side.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> run = dpend.simulate(rig, lambda t, x: 0.0, [0, 0.1, 0.1, 0, 0, 0])
+        >>> run.animate("run.gif")  # doctest: +SKIP
         """
         from .draw import animate_run
 
@@ -343,12 +437,25 @@ class Run(_Record):
 class Runs(_Record):
     """``N`` runs side by side; NaN after the end of each.
 
-    Attributes
+    ``runs[i]`` is one of them as a :class:`Run`, where states were recorded.
+
+    Parameters
     ----------
     t : ndarray (T + 1,)
         Times of the samples, s.
     u : ndarray (N, T)
         Forces applied over each sample, N.
+    step_time : ndarray (N, T)
+        Seconds that the controller took for each; a batched law's time is shared equally
+        among all rows, and counts on until the last of its batch has ended.
+    rig : Rig
+        The true rig or rigs.
+    controller, task : str
+        What ran, in words.
+    seed : int
+        What the disturbances were drawn from, with ``first_row``.
+    log : mapping of str to ndarray (N, T)
+        What the controller logged of each of its steps, such as a solver's iterations.
     steps : ndarray (N,)
         Samples that each run lasted.
     codes : ndarray (N,)
@@ -361,19 +468,24 @@ class Runs(_Record):
         Greatest distance of the cart from the middle, m.
     time_up : ndarray (N,)
         When both links were up for good, s; NaN where they never were, or the task does not ask.
-    step_time : ndarray (N, T)
-        Seconds that the controller took for each; a batched law's time is shared equally
-        among all rows, and counts on until the last of its batch has ended.
-    log : mapping of str to ndarray (N, T)
-        What the controller logged of each of its steps, such as a solver's iterations.
+    first_row : int
+        Number of the first row.
     x, y : ndarray (N, T + 1, 6)
         True and measured states, where they were recorded; AttributeError elsewhere.
-    rig : Rig
-        The true rig or rigs.
-    controller, task : str
-        What ran, in words.
-    seed, first_row : int
-        What the disturbances were drawn from.
+
+    See Also
+    --------
+    dpend.simulate_many : Make them.
+    dpend.Run : One.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> runs = dpend.simulate_many(rig, lambda t, x: 0.0, np.zeros((3, 6)), duration=0.1, record=True)
+    >>> len(runs), runs[0].success
+    (3, True)
     """
 
     _FORMAT = "dpend runs 1"
@@ -401,7 +513,28 @@ class Runs(_Record):
         return [members[code] for code in self.codes]
 
     def metrics(self) -> dict[str, Array]:
-        """Return every run's figures of merit, each ``(N,)``; their units are in ``dpend.metrics.UNITS``."""
+        """Return every run's figures of merit, each ``(N,)``; their units are in ``dpend.metrics.UNITS``.
+
+        They are there whether or not states were recorded.
+
+        Returns
+        -------
+        dict of str to ndarray (N,)
+            The same names as of one run.
+
+        See Also
+        --------
+        dpend.Run.metrics : Of one run.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> runs = dpend.simulate_many(rig, lambda t, x: 0.0, np.zeros((3, 6)), duration=0.1)
+        >>> runs.metrics()["effort"]
+        array([0., 0., 0.])
+        """
         return {
             "success": self.success.astype(np.float64),
             "time_up": self.time_up,
@@ -415,8 +548,28 @@ class Runs(_Record):
 
         Parameters
         ----------
-        lag, cutoff
-            See :meth:`Run.smoothness`, also for what is refused.
+        lag : float
+            Time constant of the lag after which the force's rate of change is measured, s.
+        cutoff : float
+            Frequency above which the share of the force's power is measured, Hz.
+
+        Returns
+        -------
+        dict of str to ndarray (N,)
+            The same names as of one run.
+
+        See Also
+        --------
+        dpend.Run.smoothness : Of one run.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> runs = dpend.simulate_many(rig, lambda t, x: 0.0, np.zeros((3, 6)), duration=0.1)
+        >>> runs.smoothness()["slew"]
+        array([0., 0., 0.])
         """
         return smoothness_metrics(self.u, self.rig.sample_time, self.rig.force_limit, lag=lag, cutoff=cutoff)
 

@@ -44,6 +44,8 @@ def simulate(
 ) -> Run:
     """Run a controller on a rig from one state.
 
+    It is a batch of one: the same loop, the same random numbers as of row 0.
+
     Parameters
     ----------
     rig : Rig
@@ -62,6 +64,11 @@ def simulate(
     seed : int
         What the disturbances are drawn from.
 
+    Returns
+    -------
+    Run
+        With states, measurements and forces.
+
     Raises
     ------
     TypeError, ValueError
@@ -69,10 +76,24 @@ def simulate(
     LawError
         If the law fails while it runs; the error keeps the runs so far.
 
+    See Also
+    --------
+    dpend.simulate_many : From many states at once.
+    dpend.Run : What comes back.
+
     Notes
     -----
     Where a law returns NaN or an infinite force, its last finite one counts, zero at first, and the log's
     ``"not_finite"`` is one.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> from controllers import LQR
+    >>> run = dpend.simulate(rig, LQR(rig), [0, 0.1, -0.1, 0, 0, 0], duration=6.0)
+    >>> run.status.value
+    'The run reached its full length.'
     """
     run = simulate_many(
         rig, controller, one_state("x0", x0)[None], duration, task=task, push=push, seed=seed, record=True
@@ -100,14 +121,22 @@ def simulate_many(
 ) -> Runs:
     """Run a controller on a rig, or on one rig a row, from many states.
 
+    Row ``i`` is what a single run of it would be, whatever runs beside it.
+
     Parameters
     ----------
     rig : Rig
         The true rig or rigs.
+    controller : Controller or callable
+        The law; a plain function ``law(t, x)`` of one state ``(6,)`` will do.
     x0 : array_like (N, 6)
         The initial states.
-    controller, duration, task, push
-        See :func:`simulate`, also for what is raised; a push may be ``(N, 3)``.
+    duration : float, optional
+        Seconds, a whole number of samples; left out, the task's full length.
+    task : Task, optional
+        What ends a run and what counts as success; None ends it only at the track's end.
+    push : callable, optional
+        As of :func:`simulate`; it may return forces ``(N, 3)``.
     seed : int
         What the disturbances are drawn from: row ``i`` from ``(seed, first_row + i)``.
     first_row : int
@@ -116,6 +145,27 @@ def simulate_many(
         Keep true and measured states, ``2 * 48`` bytes a row and sample; forces are always kept.
     workers : int
         Processes that share the rows of a controller which treats one run at a time.
+
+    Returns
+    -------
+    Runs
+        Of as many rows; a LawError keeps those so far.
+
+    See Also
+    --------
+    dpend.simulate : From one state.
+    dpend.Runs : What comes back.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> from controllers import LQR
+    >>> task = dpend.Balance(lam=0.1)
+    >>> starts = task.starts(np.random.default_rng(0), 100, rig)
+    >>> float(dpend.simulate_many(rig, LQR(rig), starts, task=task).success.mean())
+    1.0
     """
     rig = as_rig(rig)
     controller = as_controller(controller)

@@ -43,6 +43,8 @@ def wrap_angle(angle):
 def wrap(angle: npt.ArrayLike) -> Array:
     r"""Return :math:`\theta - 2\pi\,\mathrm{round}(\theta/2\pi)`, the difference to the nearest whole turn.
 
+    A half turn may come back with either sign.
+
     Parameters
     ----------
     angle : array_like
@@ -52,6 +54,17 @@ def wrap(angle: npt.ArrayLike) -> Array:
     -------
     ndarray
         The same shape, within :math:`[-\pi, \pi]`.
+
+    See Also
+    --------
+    dpend.nearest_upright : The same of states.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dpend
+    >>> float(dpend.wrap(2 * np.pi + 0.5).round(3))
+    0.5
     """
     with np.errstate(invalid="ignore"):  # an infinite angle has no nearest turn
         return wrap_angle(checked_array("angle", angle, "angles, rad", finite=False))
@@ -59,6 +72,8 @@ def wrap(angle: npt.ArrayLike) -> Array:
 
 def nearest_upright(x: npt.ArrayLike) -> Array:
     """Return the states with both angles taken to the nearest whole turn, so that upright is zero.
+
+    Rates and position stay.
 
     Parameters
     ----------
@@ -69,6 +84,17 @@ def nearest_upright(x: npt.ArrayLike) -> Array:
     -------
     ndarray
         New states ``(..., 6)``, angles within one half turn of upright.
+
+    See Also
+    --------
+    dpend.wrap : The same of an angle.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dpend
+    >>> dpend.nearest_upright([0, 6.3, 0, 0, 0, 0])[1].round(3)
+    np.float64(0.017)
     """
     x = state_rows("x", x).copy()
     x[..., 1:3] = wrap_angle(x[..., 1:3])

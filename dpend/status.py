@@ -6,7 +6,20 @@ from enum import Enum
 
 
 class Status(Enum):
-    """How a run ended; the value is the message.  Its place in the list is the code kept in arrays."""
+    """How a run ended; the value is the message.  Its place in the list is the code kept in arrays.
+
+    What goes wrong in flight is one of these values, not an exception.
+
+    See Also
+    --------
+    dpend.Run : Whose ``status`` it is.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> dpend.Status.FULL_LENGTH.value
+    'The run reached its full length.'
+    """
 
     FULL_LENGTH = "The run reached its full length."
     TRACK_END = "The cart reached the end of the track."

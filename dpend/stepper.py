@@ -117,6 +117,20 @@ class Stepper:
     ------
     TypeError, ValueError
         If the rig describes another number of rows, or a number is no whole one.
+
+    See Also
+    --------
+    dpend.simulate_many : A loop over it.
+    dpend.env.CartDoublePendulumEnv : Another.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> stepper = dpend.Stepper(rig, 2, seed=0)
+    >>> y = stepper.reset([0, 0.1, 0, 0, 0, 0])
+    >>> stepper.step([0.0, 10.0]).shape
+    (2, 6)
     """
 
     def __init__(self, rig: Rig, n: int, seed: int = 0, first_row: int = 0) -> None:
@@ -155,6 +169,8 @@ class Stepper:
     def reset(self, x0: npt.ArrayLike, rows: Rows | None = None) -> Array:
         """Set all rows, or some, to new states with actuator and sensors at rest.
 
+        Delays are filled with the first measurement and with no force.
+
         Parameters
         ----------
         x0 : array_like
@@ -171,6 +187,18 @@ class Stepper:
         ------
         ValueError
             If the states are not of that shape or not finite.
+
+        See Also
+        --------
+        dpend.Stepper.step : Move on.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> stepper = dpend.Stepper(rig, 2, seed=0)
+        >>> stepper.reset([0, 0.1, 0, 0, 0, 0])[:, 1]
+        array([0.1, 0.1])
         """
         chosen = _ALL if rows is None else rows
         states = as_states(x0, len(self.force[chosen]))
@@ -187,6 +215,8 @@ class Stepper:
 
     def step(self, u: npt.ArrayLike, push: npt.ArrayLike | None = None) -> Array:
         """Move every row by one sample.
+
+        It does not ask whether an episode has ended: that is the task's affair.
 
         Parameters
         ----------
@@ -205,6 +235,19 @@ class Stepper:
         ------
         ValueError
             If the forces, or the pushes, are not of that shape.
+
+        See Also
+        --------
+        dpend.Stepper.reset : Begin again.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> stepper = dpend.Stepper(rig, 2, seed=0)
+        >>> y = stepper.reset([0, 0, 0, 0, 0, 0])
+        >>> stepper.step([0.0, 10.0])[:, 3].round(2) > 0
+        array([False,  True])
         """
         rig = self.rig
         command = checked_forces(u, self.n)

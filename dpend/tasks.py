@@ -23,7 +23,28 @@ Codes = npt.NDArray[np.uint8]
 
 
 class Task(Protocol):
-    """What the simulation and the environments ask of a task."""
+    """What the simulation and the environments ask of a task.
+
+    A class with these methods is a task; nothing need be inherited.  Methods take and return whole batches.
+
+    Parameters
+    ----------
+    *args, **kwargs : Any
+        A task is built as its class says; the protocol asks for nothing.
+
+    See Also
+    --------
+    dpend.Balance : Keep both links up.
+    dpend.SwingUp : Bring them up.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> task: dpend.Task = dpend.Balance(lam=0.2)
+    >>> task.steps
+    300
+    """
 
     @property
     def steps(self) -> int | None:
@@ -36,19 +57,129 @@ class Task(Protocol):
         ...
 
     def starts(self, rng: np.random.Generator, n: int, rig: Rig) -> Array:
-        """Draw ``n`` initial states ``(n, 6)``."""
+        """Draw ``n`` initial states ``(n, 6)``.
+
+        One generator gives the same starts whatever runs from them, so that comparisons are paired.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            What the starts are drawn from.
+        n : int
+            How many.
+        rig : Rig
+            The rig, whose track they lie on.
+
+        Returns
+        -------
+        ndarray (n, 6)
+            The states.
+
+        See Also
+        --------
+        dpend.Balance.starts : For instance.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> dpend.SwingUp().starts(np.random.default_rng(0), 2, rig)[:, 1:3].round(2)
+        array([[3.14, 3.14],
+               [3.14, 3.14]])
+        """
         ...
 
     def ended(self, x: Array, rig: Rig) -> Codes:
-        """Return the status codes ``(n,)`` of states ``(n, 6)``; zero where the episode goes on."""
+        """Return the status codes ``(n,)`` of states ``(n, 6)``; zero where the episode goes on.
+
+        The environments and the simulation stop a row where it is not zero.
+
+        Parameters
+        ----------
+        x : ndarray (n, 6)
+            States.
+        rig : Rig
+            The rig, whose track ends.
+
+        Returns
+        -------
+        ndarray (n,)
+            ``Status.code`` of each, whole numbers.
+
+        See Also
+        --------
+        dpend.Status : What the codes stand for.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> dpend.Balance().ended(np.array([[0, 2.0, 0, 0, 0, 0]]), rig)[0] == dpend.Status.LINK1_FELL.code
+        np.True_
+        """
         ...
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
-        """Return which states ``(n, 6)`` have both links up."""
+        """Return which states ``(n, 6)`` have both links up.
+
+        Success of a swing-up is counted with it.
+
+        Parameters
+        ----------
+        x : ndarray (n, 6)
+            States.
+
+        Returns
+        -------
+        ndarray (n,) of bool
+            Whether both links are up.
+
+        See Also
+        --------
+        dpend.SwingUp : Succeeds by being upright for good.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> dpend.SwingUp().upright(np.zeros((1, 6)))
+        array([ True])
+        """
         ...
 
     def cost(self, x: Array, codes: Codes) -> Array:
-        """Return the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
+        """Return the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes.
+
+        Learners that are paid in the report's way are paid its negative.
+
+        Parameters
+        ----------
+        x : ndarray (n, 6)
+            States.
+        codes : ndarray (n,)
+            Status codes of the same states, zero where the episode goes on.
+
+        Returns
+        -------
+        ndarray (n,)
+            The costs, in units of ``state_weights``.
+
+        See Also
+        --------
+        dpend.tasks.ReportCost : The report's cost.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> task = dpend.Balance(state_weights=(0, 10, 10))
+        >>> task.cost(np.array([[0, 0.1, -0.1, 0, 0, 0]]), np.zeros(1, dtype=int)).round(6)
+        array([2.])
+        """
         ...
 
 
@@ -141,6 +272,10 @@ class Balance(ReportCost):
 
     Parameters
     ----------
+    state_weights : (float, float, float)
+        Cost of the position, m, and of both angles, rad, as :class:`dpend.tasks.ReportCost` sums them.
+    failure_cost : float
+        Cost of a failure, at least zero.
     lam : float
         :math:`\lambda`, rad, above zero and at most :math:`\pi/2`.
     lam2 : float, optional
@@ -150,13 +285,25 @@ class Balance(ReportCost):
     criterion : {"strict", "report"}
         ``"report"`` looks at link 1 alone, as the report does; a controller that lets link 2 swing round then counts
         as balancing.
-    state_weights, failure_cost
-        See :class:`dpend.tasks.ReportCost`.
 
     Raises
     ------
     ValueError
         If a value is out of its range.
+
+    See Also
+    --------
+    dpend.SwingUp : The other task.
+    dpend.simulate_many : Run a controller from many of its starts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> task = dpend.Balance(lam=0.3)
+    >>> task.starts(np.random.default_rng(0), 4, rig).shape
+    (4, 6)
     """
 
     lam: float = 0.1
@@ -223,6 +370,10 @@ class SwingUp(ReportCost):
 
     Parameters
     ----------
+    state_weights : (float, float, float)
+        Cost of the position, m, and of both angles, rad, as :class:`dpend.tasks.ReportCost` sums them.
+    failure_cost : float
+        Cost of a failure, at least zero.
     start : str
         "hanging", both links down; "side", both horizontal on the positive side, :math:`(\pi/2, \pi/2)`, as in the
         report; the name of one of ``dpend.EQUILIBRIA``; or "anywhere": angles :math:`U[-\pi, \pi]`, the cart within
@@ -237,13 +388,26 @@ class SwingUp(ReportCost):
         Time upright that makes a success, s; a run shorter than that cannot succeed.
     upright_angle : float
         A link counts as up within this angle of where it is to be, rad.
-    state_weights, failure_cost
-        See :class:`dpend.tasks.ReportCost`.
 
     Raises
     ------
     ValueError
         If a value is out of its range.
+
+    See Also
+    --------
+    dpend.Balance : The other task.
+    dpend.EQUILIBRIA : The four states at rest by name.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> from controllers import TVLQR
+    >>> task = dpend.SwingUp(steps=300)
+    >>> run = dpend.simulate(rig, TVLQR(rig), dpend.EQUILIBRIA["down-down"], task=task)
+    >>> run.success
+    True
     """
 
     start: str = "hanging"

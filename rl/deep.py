@@ -145,6 +145,16 @@ def train_deep(
         If torch or Stable-Baselines3 is missing; the message says what to install.
     ValueError
         If the folder holds another training, or the seconds do not allow one round of steps.
+
+    See Also
+    --------
+    rl.DeepRecipe : What to do.
+    rl.load_policy : Read what was kept.
+
+    Examples
+    --------
+    >>> from rl import DeepRecipe, train_deep
+    >>> train_deep(DeepRecipe(algo="ppo"), seed=0, out="results/ppo")  # doctest: +SKIP
     """
     seed = checked_seed("seed", seed)
     try:

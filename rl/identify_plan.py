@@ -42,12 +42,26 @@ _WORSE = 1.5  # times the error with which a rig predicts the runs it was found 
 class PlannedPolicy(Saved):
     """Receding-horizon iLQR on a rig.
 
+    What it saves is the rig alone; the planner is built again.
+
     Parameters
     ----------
     rig : Rig or array of one str
         The rig it plans with, or its record as JSON.
     about : mapping, optional
         Where it comes from; saved with it.
+
+    See Also
+    --------
+    controllers.ILQRMPC : The planner.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> from rl import PlannedPolicy
+    >>> PlannedPolicy(rig).about
+    {}
     """
 
     kind = "planned"
@@ -70,7 +84,32 @@ class PlannedPolicy(Saved):
         return ILQRMPC(self.rig)
 
     def attributed(self, about: Mapping[str, Any] | None) -> PlannedPolicy:
-        """Return the same policy with a provenance."""
+        """Return the same policy with a provenance.
+
+        Compiled code is shared.
+
+        Parameters
+        ----------
+        about : mapping or None
+            Where it comes from; None leaves nothing.
+
+        Returns
+        -------
+        PlannedPolicy
+            The same but for that.
+
+        See Also
+        --------
+        rl.load_policy : Whose files keep it.
+
+        Examples
+        --------
+        >>> import dpend
+        >>> rig = dpend.rig("gustafsson2016")
+        >>> from rl import PlannedPolicy
+        >>> PlannedPolicy(rig).attributed({"seed": 0}).about["seed"]
+        0
+        """
         return PlannedPolicy(self.rig, about=about)
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
@@ -88,6 +127,8 @@ class PlannedPolicy(Saved):
 class IdentifyAndPlan:
     r"""Identification of masses, lengths and friction from random motion, and iLQR with what was found.
 
+    It is the least that any learner can need that has the equations but not their numbers.
+
     Parameters
     ----------
     rig : Rig or str
@@ -96,8 +137,24 @@ class IdentifyAndPlan:
         Masses and lengths are guessed wrong by :math:`U[-s, s]` of their values; friction is guessed to be none.
     motion : float
         Length of the first episode, of random forces, s; it is repeated where the data do not determine the rig.
-    episode_seconds, angle_spread, episodes, streak
-        As of :class:`ModelBased`.
+    episode_seconds : float
+        Length of an episode, s.
+    angle_spread : float
+        Each starts hanging, with each angle moved by :math:`U[-s, s]`, rad.
+    episodes : int
+        Greatest number of them.
+    streak : int
+        So many successful episodes in a row end the training.
+
+    See Also
+    --------
+    rl.ModelBased : Without the equations.
+    dpend.identify : The identification alone.
+
+    Examples
+    --------
+    >>> from rl import IdentifyAndPlan
+    >>> IdentifyAndPlan("pilco2011").train(seed=0)  # doctest: +SKIP
     """
 
     rig: Rig = field(kw_only=False)

@@ -90,6 +90,17 @@ class LinearQLearning:
         Initial weights, such as those of a policy, to go on learning from.
     init_std : float
         Without them, standard deviation of the normal numbers that they are drawn from; zero for the report's zeros.
+
+    See Also
+    --------
+    rl.LSPI : With the square of the action.
+    rl.LinearQPolicy : What it learns.
+
+    Examples
+    --------
+    >>> from rl import LinearQLearning
+    >>> LinearQLearning.published("gustafsson2016").train(seed=0, seconds=20.0).converged
+    False
     """
 
     rig: Rig = field(kw_only=False)

@@ -128,6 +128,14 @@ class LSPI(_GainLearner):
         Discount factor at the end.
     gamma_start : float
         Discount factor of the first iteration.
+    noise : float
+        Standard deviation of the exploring force, N.
+    lam : float
+        :math:`\lambda` of the starting angles, :math:`U[-\lambda, \lambda]`, rad.
+    angle_cut : float
+        An episode is cut where a link leans more, rad.  Not a failure: its last sample is a sample like any other.
+    episode_steps : int
+        An episode is cut after so many samples, too.
     anneal : int
         Iterations over which the discount factor grows, in equal steps.
     iterations : int
@@ -138,14 +146,18 @@ class LSPI(_GainLearner):
         Latest samples that LSTD-Q uses, those of earlier policies among them.
     step : float
         Part of the way to the greedy gain that an iteration goes, above 0 and at most 1.
-    noise : float
-        Standard deviation of the exploring force, N.
-    lam : float
-        :math:`\lambda` of the starting angles, :math:`U[-\lambda, \lambda]`, rad.
-    angle_cut : float
-        An episode is cut where a link leans more, rad.  Not a failure: its last sample is a sample like any other.
-    episode_steps : int
-        An episode is cut after so many samples, too.
+
+    See Also
+    --------
+    rl.QuadraticQLearning : One step at a time.
+    controllers.LQR : With a discount, what it finds.
+
+    Examples
+    --------
+    >>> from rl import LSPI
+    >>> training = LSPI("gustafsson2016").train(seed=0)
+    >>> training.converged, training.experience
+    (True, 120.0)
     """
 
     anneal: Whole = 50
@@ -205,8 +217,24 @@ class QuadraticQLearning(_GainLearner):
 
     Parameters
     ----------
-    rig, state_weights, force_weight, gamma, gamma_start, noise, lam, angle_cut, episode_steps
-        As of :class:`LSPI`.
+    rig : Rig or str
+        An ideal one: no noise, delay or lag; or the name of a preset.
+    state_weights : sequence of 6 floats
+        Diagonal of :math:`Q`, at least zero.
+    force_weight : float
+        :math:`R`, greater than zero.
+    gamma : float
+        Discount factor at the end.
+    gamma_start : float
+        Discount factor at first.
+    noise : float
+        Standard deviation of the exploring force, N.
+    lam : float
+        :math:`\lambda` of the starting angles, rad.
+    angle_cut : float
+        An episode is cut where a link leans more, rad.
+    episode_steps : int
+        An episode is cut after so many samples, too.
     anneal : int
         Samples over which the discount factor grows, in equal steps.
     samples : int
@@ -221,6 +249,16 @@ class QuadraticQLearning(_GainLearner):
         Largest greedy force, N, where the rig's own limit is larger.
     record_every : int
         Samples between two recorded gains.
+
+    See Also
+    --------
+    rl.LSPI : Least squares on the same features.
+
+    Examples
+    --------
+    >>> from rl import QuadraticQLearning
+    >>> QuadraticQLearning("gustafsson2016", samples=500).train(seed=0).policy.K.shape
+    (6,)
     """
 
     anneal: Whole = 5000

@@ -57,6 +57,8 @@ def settled(run: Run) -> bool:
 class ModelPolicy(Saved):
     """Receding-horizon iLQR on a learned model.
 
+    What it saves is the model alone; the planner is built again.
+
     Parameters
     ----------
     model : HarmonicModel or KernelModel
@@ -65,6 +67,16 @@ class ModelPolicy(Saved):
         Clock and limits, s, N and m.
     about : mapping, optional
         Where it comes from; saved with it.
+
+    See Also
+    --------
+    controllers.ILQRMPC : The planner.
+    rl.ModelBased : Learn one.
+
+    Examples
+    --------
+    >>> from rl import ModelBased
+    >>> policy = ModelBased("pilco2011").train(seed=0).policy  # doctest: +SKIP
     """
 
     kind = "model"
@@ -89,7 +101,29 @@ class ModelPolicy(Saved):
         return ILQRMPC(rig, model=self.model.model, starts=8)
 
     def attributed(self, about: Mapping[str, Any] | None) -> ModelPolicy:
-        """Return the same policy with a provenance."""
+        """Return the same policy with a provenance.
+
+        Model and compiled code are shared.
+
+        Parameters
+        ----------
+        about : mapping or None
+            Where it comes from; None leaves nothing.
+
+        Returns
+        -------
+        ModelPolicy
+            The same but for that.
+
+        See Also
+        --------
+        rl.load_policy : Whose files keep it.
+
+        Examples
+        --------
+        >>> from rl import ModelBased
+        >>> ModelBased("pilco2011").train(seed=0).policy.attributed({"seed": 0})  # doctest: +SKIP
+        """
         return type(self)(self.model, about=about, **{name: getattr(self, name) for name in self.saved})
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
@@ -98,11 +132,53 @@ class ModelPolicy(Saved):
         return _Filtered(law, self.model, self.force_limit) if isinstance(self.model, HarmonicModel) else law
 
     def uncertainty(self, x: npt.ArrayLike, u: npt.ArrayLike) -> Array:
-        """Return the standard deviations (N, 3) of the accelerations believed in states (N, 6) under forces (N,)."""
+        """Return the standard deviations (N, 3) of the accelerations believed in states (N, 6) under forces (N,).
+
+        It is small where data were, and grows to what was believed before any.
+
+        Parameters
+        ----------
+        x : array_like (N, 6)
+            States.
+        u : array_like (N,)
+            Forces, N.
+
+        Returns
+        -------
+        ndarray (N, 3)
+            Of the cart, m/s^2, and of both links, rad/s^2.
+
+        See Also
+        --------
+        rl.ModelBased : Learn one.
+
+        Examples
+        --------
+        >>> from rl import ModelBased
+        >>> policy = ModelBased("pilco2011").train(seed=0).policy  # doctest: +SKIP
+        >>> policy.uncertainty([[0, 0, 0, 0, 0, 0]], [0.0])  # doctest: +SKIP
+        """
         return self.model.uncertainty(np.atleast_2d(np.asarray(x, float)), np.atleast_1d(np.asarray(u, float)))
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return what is saved, by name."""
+        """Return what is saved, by name.
+
+        ``policy.save(path)`` writes them with their provenance.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Arrays that numpy can save without pickle.
+
+        See Also
+        --------
+        rl.load_policy : Read them again.
+
+        Examples
+        --------
+        >>> from rl import ModelBased
+        >>> ModelBased("pilco2011").train(seed=0).policy.arrays()  # doctest: +SKIP
+        """
         model = {f"model_{name}": value for name, value in self.model.arrays().items()}
         return super().arrays() | model | {"model": np.asarray(self.model.kind)}
 
@@ -283,6 +359,8 @@ def transitions(runs: Sequence[Run]) -> Transitions:
 class ModelBased:
     r"""Model-based learning of the swing-up: a model fitted after each episode, and iLQR on it in the next.
 
+    Each switch is a piece of prior knowledge, which can be left out to see what it is worth.
+
     Parameters
     ----------
     rig : Rig or str
@@ -309,6 +387,16 @@ class ModelBased:
         Greatest number of them.
     streak : int
         So many successful episodes in a row end the training.
+
+    See Also
+    --------
+    rl.IdentifyAndPlan : With the equations.
+    controllers.ILQRMPC : The planner.
+
+    Examples
+    --------
+    >>> from rl import ModelBased
+    >>> ModelBased("pilco2011").train(seed=0)  # doctest: +SKIP
     """
 
     rig: Rig = field(kw_only=False)

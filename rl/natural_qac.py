@@ -45,11 +45,22 @@ class NaturalQAC:
 
     Parameters
     ----------
-    rig, task, alpha, beta, gamma, streak, max_episodes
-        As of :class:`rl.GaussianQAC`; the task's cost is that which is reported, ``beta`` that of a critic that does
-        not solve least squares, and ``gamma`` the discount factor at the end.
+    rig : Rig or str
+        An ideal one: no noise, delay or lag; or the name of a preset.
+    task : Balance
+        Starts, episode length and failure; its cost is that which is reported.
+    alpha : float
+        Step size of the actor.
+    beta : float
+        Step size of a critic that does not solve least squares.
     sigma : float
         Standard deviation of the policy at first, N.
+    gamma : float
+        Discount factor at the end.
+    streak : int
+        Successful episodes in a row that count as convergence.
+    max_episodes : int
+        Learning episodes.
     scales : sequence of 7 floats
         Size of each state and of the action.
     critic : {"quadratic", "table 1"}
@@ -80,6 +91,16 @@ class NaturalQAC:
         :math:`\rho` at the end; 1 to keep it.
     relaxed_sigma : float
         :math:`\sigma` at the end, as a share of the first; 1 to keep it.
+
+    See Also
+    --------
+    rl.GaussianQAC : Algorithm 2 to the letter.
+
+    Examples
+    --------
+    >>> from rl import GaussianQAC
+    >>> type(GaussianQAC.tuned("gustafsson2016")).__name__
+    'NaturalQAC'
     """
 
     rig: Rig = field(kw_only=False)

@@ -80,6 +80,19 @@ class LinearQPolicy(Saved):
         The action set :math:`A`, N.
     about : mapping, optional
         Where the weights come from; saved with them.
+
+    See Also
+    --------
+    rl.LinearQLearning : Learn one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rl import LinearQPolicy
+    >>> policy = LinearQPolicy(weights=np.ones(18), scales=np.ones(18), forces=[-40.0, 0.0, 40.0])
+    >>> act = policy.start(1, np.random.default_rng(0))
+    >>> float(abs(act(0.0, np.array([[0, 0.1, 0, 0, 0, 0]]))[0]))
+    40.0
     """
 
     kind = "linear Q"
@@ -107,12 +120,27 @@ class LinearQPolicy(Saved):
 class GainPolicy(Saved):
     r"""Law :math:`u = -K x`, with angles taken to the nearest whole turn; the rig saturates it.
 
+    It is what LSPI and the tuned actor-critic learn.
+
     Parameters
     ----------
     K : array_like (6,)
         Gain, N per unit of each state.
     about : mapping, optional
         Where the gain comes from; saved with it.
+
+    See Also
+    --------
+    controllers.LinearLaw : The same by design.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> from rl import GainPolicy
+    >>> dpend.simulate(rig, GainPolicy([1, -150, 165, 2.5, -7, 29]), [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
 
     kind = "gain"
@@ -140,6 +168,8 @@ INDICATORS: Mapping[str, int] = MappingProxyType({"none": 0, "signs": 3, "cells"
 class TableOneMean(Saved):
     r"""Law :math:`u = \varphi(s)^\top v`, the mean of Algorithm 2's policy over Table 1's twelve features of the state.
 
+    It is linear in features, not in the state, and not odd.
+
     Parameters
     ----------
     v : array_like (12 + k,)
@@ -148,6 +178,18 @@ class TableOneMean(Saved):
         Which of :data:`rl.policies.INDICATORS` take part.
     about : mapping, optional
         Where the weights come from; saved with them.
+
+    See Also
+    --------
+    rl.GaussianQAC : Learn one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rl import TableOneMean
+    >>> policy = TableOneMean(v=np.zeros(12), indicators="none")
+    >>> policy.start(1, np.random.default_rng(0))(0.0, np.zeros((1, 6)))
+    array([0.])
     """
 
     kind = "table 1 mean"
@@ -187,6 +229,8 @@ _SQUASHES: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
 class Network(Saved):
     r"""Network :math:`\pi(o) = s(W_k h_{k-1} + b_k)` with :math:`h_i = \sigma(W_i h_{i-1} + b_i)` and :math:`h_0 = o`.
 
+    It needs numpy alone; a library that trained it is not asked again.
+
     Parameters
     ----------
     weights : sequence of array_like (m_i, m_{i-1})
@@ -199,6 +243,18 @@ class Network(Saved):
         :math:`s`, which brings actions within -1 and 1.
     about : mapping, optional
         Where the weights come from; saved with them.
+
+    See Also
+    --------
+    rl.MLPPolicy : One as a controller.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from rl import Network
+    >>> net = Network(weights=[np.ones((1, 2))], biases=[np.zeros(1)], activation="tanh", squash="clip")
+    >>> net(np.array([[0.2, 0.3]]))
+    array([[0.5]])
     """
 
     kind = "network"
@@ -255,7 +311,27 @@ class Network(Saved):
         return _SQUASHES[self.squash](h @ self.weights[-1].T + self.biases[-1])
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what is saved, by name."""
+        """Return what is saved, by name.
+
+        ``network.save(path)`` writes them with their provenance.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Arrays that numpy can save without pickle.
+
+        See Also
+        --------
+        rl.load_policy : Read them again.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from rl import Network
+        >>> net = Network(weights=[np.ones((1, 2))], biases=[np.zeros(1)], activation="tanh", squash="clip")
+        >>> len(net.arrays()) > 0
+        True
+        """
         layers = {f"weight{i}": _shortest(weight) for i, weight in enumerate(self.weights)}
         return super().arrays() | layers | {f"bias{i}": _shortest(bias) for i, bias in enumerate(self.biases)}
 
@@ -288,6 +364,17 @@ class MLPPolicy(Saved):
         How long a force is held, s; on a rig with a longer sample time it acts at every sample.
     about : mapping, optional
         Where the policy comes from; saved with it.
+
+    See Also
+    --------
+    rl.load_policy : Those that are shipped.
+    rl.Network : The network alone.
+
+    Examples
+    --------
+    >>> from rl import load_policy
+    >>> load_policy("ppo-swing-up").period
+    0.04
     """
 
     kind = "mlp"
@@ -331,7 +418,25 @@ class MLPPolicy(Saved):
         return act
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what is saved, by name."""
+        """Return what is saved, by name.
+
+        ``policy.save(path)`` writes them with their provenance.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Arrays that numpy can save without pickle.
+
+        See Also
+        --------
+        rl.load_policy : Read them again.
+
+        Examples
+        --------
+        >>> from rl import load_policy
+        >>> "scales" in load_policy("ppo-swing-up").arrays()
+        True
+        """
         return self.network.arrays() | super().arrays()
 
     @classmethod
@@ -347,6 +452,8 @@ Policy = LinearQPolicy | GainPolicy | TableOneMean | MLPPolicy | Network
 def load_policy(policy: str | Path) -> Policy:
     """Read a saved policy; nothing in the file can run code.
 
+    Running it needs numpy alone.
+
     Parameters
     ----------
     policy : str or Path
@@ -355,6 +462,7 @@ def load_policy(policy: str | Path) -> Policy:
     Returns
     -------
     LinearQPolicy, GainPolicy, MLPPolicy or Network
+        As it was saved.
 
     Raises
     ------
@@ -362,6 +470,18 @@ def load_policy(policy: str | Path) -> Policy:
         If there is neither such a file nor such a name.
     ValueError
         If the file is not a saved policy, or is damaged.
+
+    See Also
+    --------
+    rl.Training : Whose policy has ``save``.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> from rl import load_policy
+    >>> dpend.simulate(rig, load_policy("lspi"), [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
+    True
     """
     path = Path(policy)
     if isinstance(policy, str) and path.name == policy and not path.suffix and not path.exists():

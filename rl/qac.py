@@ -65,6 +65,16 @@ class GaussianQAC:
         Successful episodes in a row that count as convergence.
     max_episodes : int
         Budget of learning episodes.
+
+    See Also
+    --------
+    rl.NaturalQAC : What ``tuned`` returns.
+
+    Examples
+    --------
+    >>> from rl import GaussianQAC
+    >>> GaussianQAC.published("gustafsson2016", alpha=1e-6, beta=1e-6, max_episodes=20).train(seed=0).converged
+    False
     """
 
     rig: Rig = field(kw_only=False)

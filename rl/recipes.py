@@ -172,6 +172,16 @@ class DeepRecipe:
     ------
     TypeError, ValueError
         If a value is of the wrong kind or out of its range; the message says what was expected.
+
+    See Also
+    --------
+    rl.train_deep : Follow it.
+
+    Examples
+    --------
+    >>> from rl import DeepRecipe
+    >>> DeepRecipe(rig="gustafsson2016", algo="ddpg").steps
+    300000
     """
 
     rig: Rig = field(default_factory=lambda: dpend.rig("gustafsson2016"), kw_only=False)
@@ -281,7 +291,25 @@ class DeepRecipe:
         return "-".join(parts).lower()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all settings that this algorithm knows as plain values, for records."""
+        """Return all settings that this algorithm knows as plain values, for records.
+
+        Settings of other algorithms are left out.
+
+        Returns
+        -------
+        dict
+            By name, as JSON can hold them.
+
+        See Also
+        --------
+        rl.DeepRecipe : The settings.
+
+        Examples
+        --------
+        >>> from rl import DeepRecipe
+        >>> DeepRecipe(algo="ppo").to_dict()["algo"]
+        'ppo'
+        """
         own = self.ppo if self.algo == "ppo" else self.off_policy
         plain = {each.name: getattr(self, each.name) for each in fields(DeepRecipe)} | vars(own)
         del plain["ppo"], plain["off_policy"]

@@ -23,7 +23,20 @@ Progress = Callable[[float], None] | None
 
 
 class Outcome(Enum):
-    """How a training ended; the value says it."""
+    """How a training ended; the value says it.
+
+    What a learner means by convergence its docstring says.
+
+    See Also
+    --------
+    rl.Training : Whose ``outcome`` it is.
+
+    Examples
+    --------
+    >>> from rl import Outcome
+    >>> isinstance(Outcome.CONVERGED.value, str)
+    True
+    """
 
     CONVERGED = "The learner met its criterion of convergence."
     DIVERGED = "A weight, or the state, grew beyond the range of floating-point numbers."
@@ -33,6 +46,8 @@ class Outcome(Enum):
 @dataclass(frozen=True, kw_only=True)
 class Cost:
     """What a training cost.
+
+    ``experience`` is the plant's time, s: learning and tests together.
 
     Parameters
     ----------
@@ -46,6 +61,16 @@ class Cost:
         Of each sample, s.
     cpu_seconds : float
         Processor time of the process.
+
+    See Also
+    --------
+    rl.Training : Whose ``cost`` it is.
+
+    Examples
+    --------
+    >>> from rl import LSPI
+    >>> LSPI("gustafsson2016").train(seed=0).cost.steps
+    6000
     """
 
     episodes: int
@@ -63,12 +88,24 @@ class Cost:
 class Snapshot(NamedTuple):
     """A policy on the way of a training, without its exploration.
 
-    Attributes
+    A policy that is not the last may be worse than none.
+
+    Parameters
     ----------
     experience : float
         Time that the plant had run by then, as in the ``curve``, s.
     policy : Controller
         The policy.
+
+    See Also
+    --------
+    rl.Training.snapshots : Make them.
+
+    Examples
+    --------
+    >>> from rl import LSPI
+    >>> LSPI("gustafsson2016").train(seed=0).snapshots(3)[-1].experience
+    120.0
     """
 
     experience: float
@@ -89,6 +126,8 @@ class Trail(NamedTuple):
 class Training:
     """What a training returns, whatever the learner.
 
+    The policy is a controller: simulations, studies and the playground take it.
+
     Parameters
     ----------
     policy : Controller
@@ -104,6 +143,17 @@ class Training:
         Arrays of this learner alone, which its ``train`` documents.
     trail : Trail, optional
         Policies on the way, for :meth:`snapshots`.
+
+    See Also
+    --------
+    rl.Learner : What returns it.
+
+    Examples
+    --------
+    >>> from rl import LSPI
+    >>> training = LSPI("gustafsson2016").train(seed=0)
+    >>> sorted(training.curve)
+    ['experience', 'length']
     """
 
     policy: Any  # a Controller, with what its class has beside ``start``
@@ -126,6 +176,8 @@ class Training:
     def snapshots(self, n: int) -> list[Snapshot]:
         """Return policies on the way, spread geometrically over what the learner recorded.
 
+        They show how a policy came about: evaluate each on the same starts.
+
         Parameters
         ----------
         n : int
@@ -135,6 +187,16 @@ class Training:
         -------
         list of Snapshot
             Of a training that recorded none, the final policy alone.
+
+        See Also
+        --------
+        rl.Snapshot : What they are.
+
+        Examples
+        --------
+        >>> from rl import LSPI
+        >>> len(LSPI("gustafsson2016").train(seed=0).snapshots(5))
+        5
         """
         checked_whole("n", n)
         if self.trail is None or not len(self.trail.weights):
@@ -150,6 +212,22 @@ class Learner(Protocol):
     """A description of a learner: it is built with its rig first, learns from a seed, and stays as it is.
 
     Settings out of their range and rigs that cannot be learned on are refused with a ValueError where it is built.
+
+    Parameters
+    ----------
+    *args, **kwargs : Any
+        A learner takes its rig first, and its settings by name.
+
+    See Also
+    --------
+    dpend.check_learner : Hold a learner to the contract.
+    rl.LSPI : For instance.
+
+    Examples
+    --------
+    >>> from rl import LSPI, Learner
+    >>> isinstance(LSPI("gustafsson2016"), Learner)
+    True
     """
 
     @property
@@ -165,6 +243,8 @@ class Learner(Protocol):
     def train(self, seed: Seed, *, seconds: float | None = None, progress: Progress = None) -> Training:
         """Learn.
 
+        The same seed gives the same training.
+
         Parameters
         ----------
         seed : int or sequence of int
@@ -178,6 +258,17 @@ class Learner(Protocol):
         Returns
         -------
         Training
+            Policy, outcome, cost and learning curve.
+
+        See Also
+        --------
+        rl.Training : What comes back.
+
+        Examples
+        --------
+        >>> from rl import LSPI
+        >>> LSPI("gustafsson2016").train(seed=0, seconds=10.0).experience
+        10.0
         """
         ...
 

@@ -28,6 +28,8 @@ def shipped(
 ) -> Trajectory | None:
     """Return the stored trajectory for exactly this plant, clock and limits; None if there is none.
 
+    ``python -m controllers.data`` made them.
+
     Parameters
     ----------
     rig : Rig or str
@@ -42,11 +44,25 @@ def shipped(
     Returns
     -------
     Trajectory or None
+        What is stored, or None.
 
     Raises
     ------
     ValueError
         If there is no such start, target or objective.
+
+    See Also
+    --------
+    controllers.optimize : Find another.
+    controllers.TVLQR : Follow it.
+
+    Examples
+    --------
+    >>> import dpend
+    >>> from controllers import shipped
+    >>> rig = dpend.rig("gustafsson2016")
+    >>> shipped(rig).target[1:3].round(2)
+    array([0.  , 6.28])
     """
     rig = as_rig(rig)
     SwingUp(start=start, target=target)  # refuses what is neither
