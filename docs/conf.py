@@ -9,7 +9,6 @@ from pathlib import Path
 from pkgutil import resolve_name
 
 from docutils import nodes
-from protocols import completed
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
@@ -18,8 +17,9 @@ ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
 project = "dpend"
+release = re.findall(r'^__version__ = "(.*)"$', (ROOT / "dpend/__init__.py").read_text(), flags=re.MULTILINE)[0]
 author = "the dpend authors"
-project_copyright = "the dpend authors, MIT licence"
+project_copyright = f"the dpend authors, MIT licence; version {release}"
 
 extensions = [
     "myst_parser",
@@ -77,7 +77,7 @@ plot_rcparams = {"axes.spines.right": False, "axes.spines.top": False, "legend.f
 plot_apply_rcparams = True
 
 html_theme = "pydata_sphinx_theme"
-html_title = "dpend"
+html_title = f"dpend {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_favicon = "_static/logo.svg"
@@ -104,6 +104,8 @@ OUTSIDE = {
     "changes": ROOT / "CHANGELOG.md",
     "benchmarks": ROOT / "benchmarks/README.md",
     "security": ROOT / "SECURITY.md",
+    "support": ROOT / "SUPPORT.md",
+    "roadmap": ROOT / "ROADMAP.md",
     "code-of-conduct": ROOT / "CODE_OF_CONDUCT.md",
 }
 """Pages whose text stands elsewhere in the repository, where people look for it."""
@@ -139,6 +141,8 @@ def read_source(app: Sphinx, docname: str, source: list[str]) -> None:
 
 def complete(_app: Sphinx, what: str, _name: str, member: object, _options: object, lines: list[str]) -> None:
     """Document a method that implements a protocol's with what the protocol says of it."""
+    from protocols import completed  # which stands in this folder, not yet on the path above
+
     if what == "method" and callable(member):
         lines[:] = completed(member).splitlines()
 

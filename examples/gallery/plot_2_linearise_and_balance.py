@@ -11,7 +11,7 @@ import numpy as np
 
 import dpend
 from controllers import LQR
-from dpend.draw import BLUE, GREY
+from dpend.draw import BLUE, GREY, VERMILLION
 
 rig = dpend.rig("gustafsson2016")
 A, B = dpend.linearize(rig.params)
@@ -25,7 +25,15 @@ lqr = LQR(rig, Q=np.eye(6), R=1.0)
 print(lqr.K.round(1))
 run = dpend.simulate(rig, lqr, x0=[0, 0.2, -0.1, 0, 0, 0], duration=6.0)
 print(run.status.value)
-run.plot()
+
+fig, (above, below) = plt.subplots(2, 1, figsize=(7, 3.8), sharex=True)
+for column, colour, name in ((1, BLUE, "link 1"), (2, VERMILLION, "link 2")):
+    above.plot(run.t, run.x[:, column], color=colour, label=name)
+above.set_ylabel("angle, rad")
+above.legend()
+below.step(run.t[:-1], run.u, where="post", color=GREY)
+below.set(xlabel="time, s", ylabel="force, N")
+fig.tight_layout()
 
 # %%
 # Each of the 41 × 41 starts is one row of a batch. The edge of the blue area is not where the law saturates; that

@@ -24,16 +24,16 @@ class ByHand:
 # %%
 # ``measure`` balances from twenty starts at every level of every axis; the law is not told.
 
-laws = {"by hand": (ByHand(), VERMILLION), "LQR": (LQR("gustafsson2016"), BLUE)}
-outcomes = {name: measure(law, "balance", starts=20) for name, (law, _) in laws.items()}
+laws = {"by hand": (ByHand(), VERMILLION, "o-"), "LQR": (LQR("gustafsson2016"), BLUE, "s:")}
+outcomes = {name: measure(law, "balance", starts=20) for name, (law, *_) in laws.items()}
 for name, each in outcomes.items():
     print(f"{name}: {score(each):.1%}")
 
 shown = [axis for axis in AXES if axis.group in ("velocity noise", "force noise", "response", "delay", "pulses")]
 fig, axes = plt.subplots(1, len(shown), figsize=(12, 3), sharey=True)
 for ax, axis in zip(axes, shown, strict=True):
-    for name, (_, colour) in laws.items():
-        ax.plot(axis.levels, 100 * outcomes[name][axis.name].mean(axis=0), "o-", color=colour, label=name)
+    for name, (_, colour, line) in laws.items():
+        ax.plot(axis.levels, 100 * outcomes[name][axis.name].mean(axis=0), line, color=colour, label=name, mfc="none")
     ax.set(title=axis.name, xlabel=axis.words)
     ax.xaxis.label.set_size(8)
 axes[0].set_ylabel("success, %")

@@ -28,13 +28,13 @@ def saved(law: dpend.Controller, on: dpend.Rig = rig) -> float:
 # Task 1: how much time is there?
 # -------------------------------
 #
-# Let the plant fall from both angles at 0.01 rad, and plot the logarithm of link 2's angle. Read off the rate at
+# Let the plant fall from angles of 0.01 and −0.01 rad, and plot the logarithm of link 2's angle. Read off the rate at
 # which it grows, and compare it with the eigenvalues of ``dpend.linearize(rig.params)``. How many samples does the
-# faster mode take to double?
+# faster mode take to double? What changes if both links lean to the same side?
 #
 # *Hint*: a straight line on a logarithmic axis is an exponential; its slope is the growing mode that dominates.
 
-fall = dpend.simulate(rig, lambda t, x: 0.0, [0, 0.01, 0.01, 0, 0, 0], duration=1.0, task=None)
+fall = dpend.simulate(rig, lambda t, x: 0.0, [0, 0.01, -0.01, 0, 0, 0], duration=0.6, task=None)
 fig, ax = plt.subplots(figsize=(6, 3))
 ax.semilogy(fall.t, abs(fall.x[:, 2]), color=BLUE)
 ax.set(xlabel="time, s", ylabel="angle of link 2, rad")
