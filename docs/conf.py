@@ -65,7 +65,7 @@ sphinx_gallery_conf = {
     "image_srcset": ["2x"],
     "thumbnail_size": (400, 260),
     "show_signature": False,
-    "min_reported_time": 10,
+    "write_computation_times": False,  # a page that asks three other hosts for its table
     "first_notebook_cell": "# Needs dpend: pip install -e . in a checkout of its repository.\n%matplotlib inline",
 }
 
@@ -132,6 +132,8 @@ def read_source(app: Sphinx, docname: str, source: list[str]) -> None:
         if "://" in match["path"] or not target.exists():
             return match[0]
         place = (pages | MADE).get(target, target)
+        if place.parent in MADE:  # a script, whose page is beside the index
+            place = MADE[place.parent].with_name(f"{place.stem}.rst")
         if not place.is_relative_to(ROOT / "docs"):
             return f"](path:{os.path.relpath(place, here)})"  # no page: the file itself
         return f"]({os.path.relpath(place, here)}{match['anchor'] or ''})"

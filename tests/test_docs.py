@@ -67,6 +67,30 @@ def test_the_page_of_learners_runs(tmp_path, monkeypatch, capsys):
     assert float(paid.split()[0]) > 99
 
 
+RUN_ABOVE_OR_ELSEWHERE = {"start.md", "own-controller.md", "training.md", "identify.md", "ilqr.md"}
+MINUTES = {"model-based.md", "trajectory-optimisation.md"}
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(path.name, marks=pytest.mark.nightly if path.name in MINUTES else pytest.mark.slow)
+        for path in sorted(DOCS.glob("*.md"))
+        if "```python" in path.read_text() and path.name not in RUN_ABOVE_OR_ELSEWHERE
+    ],
+)
+def test_the_python_of_every_other_page_runs(page, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    run(page)
+
+
+@pytest.mark.parametrize("page", sorted(path.relative_to(DOCS).as_posix() for path in DOCS.glob("**/*.md")))
+def test_the_commands_of_a_page_name_what_exists(page):
+    blocks = re.findall(r"```(?:sh)?\n(.*?)```", (DOCS / page).read_text(), flags=re.DOTALL)
+    named = set(re.findall(r"python -m ((?:dpend|controllers|rl|studies|benchmarks|examples)[\w.]*)", "".join(blocks)))
+    assert all(find_spec(name) for name in named), named
+
+
 def test_the_loop_of_an_agent_ends_as_the_task_says(capsys):
     run("reference/environments.md")
     assert capsys.readouterr().out.strip() in {f"{dpend.Status[f'LINK{i}_FELL'].value} False" for i in (1, 2)}

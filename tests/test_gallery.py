@@ -16,6 +16,7 @@ SCRIPTS = sorted([*EXAMPLES.glob("gallery/plot_*.py"), *EXAMPLES.glob("labs/lab_
 def test_a_script_runs_and_draws_figures_worth_a_slide(script, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     mpl.use("Agg")
+    monkeypatch.setattr(plt, "show", lambda: None)
     plt.close("all")
     with mpl.rc_context(mpl.rcParamsDefault | {"backend": "Agg"}):
         runpy.run_path(str(script))

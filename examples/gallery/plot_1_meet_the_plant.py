@@ -34,6 +34,7 @@ for run, colour, name in ((first, BLUE, "one start"), (second, VERMILLION, "the 
 right.set(title="angle of link 2", xlabel="time, s", ylabel="rad")
 right.legend()
 fig.tight_layout()
+plt.show()
 
 # %%
 # Without force and friction energy is kept. How well it is tells how far the integrator can be trusted:

@@ -53,3 +53,4 @@ ax.set(
     xlabel="θ1 at rest, rad", ylabel="θ2 at rest, rad", aspect="equal", title="saved by LQR; dashed: it asks for ±40 N"
 )
 fig.tight_layout()
+plt.show()

@@ -34,6 +34,7 @@ for (name, (law, colour)), column in zip(laws.items(), axes.T, strict=True):
 axes[0, 0].set_ylabel("both angles, rad")
 axes[1, 0].set_ylabel("force, N")
 fig.tight_layout()
+plt.show()
 
 # %%
 # Why no training can make the first one smooth takes three lines: see :doc:`/learn/bang-bang`.

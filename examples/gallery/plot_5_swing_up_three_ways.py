@@ -39,6 +39,7 @@ for name, run in runs.items():
     ax.plot(run.t[:-1], run.u, color=laws[name][1], label=name, lw=1)
 ax.set(xlabel="time, s", ylabel="force, N")
 ax.legend(loc="upper right")
+plt.show()
 
 # %%
 # One run proves little. :doc:`/swing-up` has 200 starts of each, wrong plants, sensors and transfers between all

@@ -40,6 +40,7 @@ beside.plot(seconds, 100 * np.array(saved), ".-", color=GREEN)
 beside.set_ylabel("starts saved at λ = 0.2, %")
 beside.yaxis.label.set_color(GREEN)
 fig.tight_layout()
+plt.show()
 
 # %%
 # For eighty seconds nothing is saved: while the discount is small, no gain is worth its force. Then it happens within a

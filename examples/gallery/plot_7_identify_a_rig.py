@@ -48,6 +48,7 @@ ax.axvline(0, color=VERMILLION, lw=1, label="true")
 ax.set(yticks=range(len(names)), yticklabels=names, xlabel="found less true, with 95 % intervals, SI units")
 ax.legend()
 fig.tight_layout()
+plt.show()
 
 # %%
 # The rig that was found is a rig like any other: design for it, and try on the true one.

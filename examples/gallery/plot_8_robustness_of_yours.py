@@ -39,6 +39,7 @@ for ax, axis in zip(axes, shown, strict=True):
 axes[0].set_ylabel("success, %")
 axes[0].legend()
 fig.tight_layout()
+plt.show()
 
 # %%
 # ``python -m studies.robustness --controller mine.py:ByHand`` does it with a hundred starts beside the whole field:

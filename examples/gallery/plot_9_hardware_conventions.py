@@ -82,3 +82,4 @@ for run, colour, name in (
 ax.set(xlabel="time, s", ylabel="cart, m")
 ax.legend()
 fig.tight_layout()
+plt.show()

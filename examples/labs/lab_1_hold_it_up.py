@@ -39,6 +39,7 @@ fig, ax = plt.subplots(figsize=(6, 3))
 ax.semilogy(fall.t, abs(fall.x[:, 2]), color=BLUE)
 ax.set(xlabel="time, s", ylabel="angle of link 2, rad")
 fig.tight_layout()
+plt.show()
 
 # %%
 # Task 2: one angle is not enough

@@ -68,6 +68,7 @@ for (d, shares), colour in zip(late.items(), (GREEN, VERMILLION), strict=True):
 ax.set(xlabel="R")
 ax.legend()
 fig.tight_layout()
+plt.show()
 
 # %%
 # **Task 5.** Only the starts on which the two disagree say which is better. The exact test of their counts:

@@ -44,6 +44,7 @@ for (name, run), colour in zip(runs.items(), (VERMILLION, GREEN, BLUE), strict=T
 ax.set(xlabel="time, s", ylabel="force, N")
 ax.legend()
 fig.tight_layout()
+plt.show()
 print(f"gain off by {np.linalg.norm(smooth.K - exact.K[0]) / np.linalg.norm(exact.K):.1%}")
 
 # %%
