@@ -20,6 +20,7 @@ from sphinx.util.docutils import SphinxDirective, SphinxRole
 from sphinx.util.typing import ExtensionMetadata, OptionSpec
 
 STUDIES = Path(__file__).parent.parent / "studies"
+_OPTIONS = "table", "columns", "rows", "where", "names"
 
 
 class Study(SphinxDirective):
@@ -71,9 +72,7 @@ class Results(SphinxDirective):
     """
 
     required_arguments = 1
-    option_spec: ClassVar[OptionSpec] = dict.fromkeys(
-        ("table", "columns", "rows", "where", "names"), directives.unchanged
-    )  # pyright: ignore[reportIncompatibleVariableOverride]
+    option_spec: ClassVar[OptionSpec] = dict.fromkeys(_OPTIONS, directives.unchanged)  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def run(self) -> Sequence[nodes.Node]:
         """Return the table, and below it its note and the way to all others."""

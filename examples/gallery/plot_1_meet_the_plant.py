@@ -39,7 +39,7 @@ plt.show()
 # %%
 # Without force and friction energy is kept. How well it is tells how far the integrator can be trusted:
 
-energy = sum(dpend.energies(first.x, rig.params))
+energy = dpend.energies(first.x, rig.params).total
 print(f"energy drifts by {np.ptp(energy) / abs(energy[0]):.1e} of itself")
 
 # %%

@@ -11,10 +11,13 @@ import numpy as np
 
 import dpend
 from dpend.draw import GREEN, VERMILLION
-from rl import load_policy
+from rl import LSPI, LinearQLearning
 
 rig = dpend.rig("gustafsson2016")
-laws = {"Q-learning, Table 1": (load_policy("q-tuned"), VERMILLION), "LSPI, with a²": (load_policy("lspi"), GREEN)}
+laws = {
+    "Q-learning, Table 1": (LinearQLearning.tuned(rig).train(seed=0).policy, VERMILLION),
+    "LSPI, with a²": (LSPI(rig).train(seed=0).policy, GREEN),
+}
 
 # %%
 # The same start for both, then the same 500.

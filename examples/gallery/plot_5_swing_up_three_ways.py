@@ -28,17 +28,15 @@ laws = {
 }
 runs = {name: dpend.simulate(rig, law, hanging, task=task) for name, (law, _) in laws.items()}
 
-fig = plt.figure(figsize=(10, 6), layout="constrained")
-above, below = fig.subfigures(2, 1, height_ratios=(3, 2))
-for ax, (name, run) in zip(above.subplots(1, 3, sharey=True), runs.items(), strict=True):
-    draw_strobe(ax, run.x[:120], rig)
-    up = f"up at {run.time_up:.2f} s" if run.success else "not up within 6 s"
-    ax.set_title(f"{name}: {up}")
-ax = below.subplots()
+places = [list(runs), ["force"] * 3]
+fig, axes = plt.subplot_mosaic(places, figsize=(10, 6), height_ratios=(3, 2), layout="constrained")
 for name, run in runs.items():
-    ax.plot(run.t[:-1], run.u, color=laws[name][1], label=name, lw=1)
-ax.set(xlabel="time, s", ylabel="force, N")
-ax.legend(loc="upper right")
+    draw_strobe(axes[name], run.x[:120], rig)
+    up = f"up at {run.time_up:.2f} s" if run.success else "not up within 6 s"
+    axes[name].set_title(f"{name}: {up}")
+    axes["force"].plot(run.t[:-1], run.u, color=laws[name][1], label=name, lw=1)
+axes["force"].set(xlabel="time, s", ylabel="force, N")
+axes["force"].legend(loc="upper right")
 plt.show()
 
 # %%
