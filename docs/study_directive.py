@@ -1,4 +1,5 @@
-"""What pages take from studies: the directives ``study`` (what its docstring says) and ``results`` (one of its tables).
+"""What pages take from studies: the directives ``study`` (what its docstring says), ``results`` (one of its tables) and
+``claims`` (what the numbers of all pages rest on).
 
 A number in a sentence is taken from a table by the role ``cell``.
 """
@@ -8,9 +9,9 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import ClassVar
 
+from claims import ROOT, claims, pages
 from docutils import nodes
 from docutils.parsers.rst import directives
 from result_tables import RESULTS, Shown, table
@@ -19,7 +20,7 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective, SphinxRole
 from sphinx.util.typing import ExtensionMetadata, OptionSpec
 
-STUDIES = Path(__file__).parent.parent / "studies"
+STUDIES = ROOT / "studies"
 _OPTIONS = "table", "columns", "rows", "where", "names"
 
 
@@ -144,9 +145,30 @@ def _row(cells: Sequence[str], words: Sequence[bool]) -> nodes.row:
     return row
 
 
+class Claims(SphinxDirective):
+    """List the blocks of all pages that hold estimates, and what they rest on; on a page of reStructuredText."""
+
+    def run(self) -> Sequence[nodes.Node]:
+        """Return a list for each page."""
+        lines: list[str] = []
+        for page in pages():
+            self.env.note_dependency(str(page))
+            found = list(claims(page))
+            lines += [f"**{page.relative_to(ROOT)}**", ""] if found else []
+            for claim in found:
+                words = claim.words if len(claim.words) < 90 else f"{claim.words[:88].rpartition(' ')[0]} …"
+                lines += [f"- {_escaped(words)}", "", *(f"  - {_escaped(row)}" for row in claim.rests_on), ""]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+def _escaped(text: str) -> str:
+    return re.sub(r"([\\*`_|])", r"\\\1", text)
+
+
 def setup(app: Sphinx) -> ExtensionMetadata:
     """Register directives and role."""
     app.add_directive("study", Study)
     app.add_directive("results", Results)
+    app.add_directive("claims", Claims)
     app.add_role("cell", CellRole())
     return {"parallel_read_safe": True}
