@@ -1,7 +1,7 @@
-"""What pages take from studies: the directives ``study`` (what its docstring says), ``results`` (one of its tables) and
-``claims`` (what the numbers of all pages rest on).
+"""What pages take from studies: directives and a role.
 
-A number in a sentence is taken from a table by the role ``cell``.
+``study`` shows what a study's docstring says, ``results`` one of its tables, ``claims`` what the numbers of all pages
+rest on; the role ``cell`` writes a number of a table into a sentence.
 """
 
 from __future__ import annotations

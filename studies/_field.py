@@ -30,7 +30,7 @@ from rl import LSPI, GaussianQAC, Learner, LinearQLearning, load_policy
 from . import _runner
 from ._closure import covered
 from ._figures import Style
-from ._own import Own, load_own
+from ._own import Own, load_own, tried_on
 from ._plant import Plant, rig_of
 
 TaskName = Literal["balance", "swing-up"]
@@ -209,6 +209,8 @@ class Options(_runner.Options):
     needs = ("force_limit",)
     known: ClassVar[tuple[Contender, ...]] = CONTENDERS
     """Those that can take part beside the user's own; a study that has more adds them."""
+    tasks: ClassVar[tuple[TaskName, ...]] = BOTH
+    """What the study is about."""
 
     controller: tuple[str, ...] = ()
     """Your own: path.py:factory or module:factory; the factory takes the rig, or nothing."""
@@ -216,13 +218,20 @@ class Options(_runner.Options):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        every = (*self.known, *map(own, self.controller))
+        token = tried_on.set(plant.rig if (plant := self.elsewhere) else None)
+        try:
+            every = (*self.known, *map(own, self.controller))
+        finally:
+            tried_on.reset(token)
         names = [contender.name for contender in every]
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"--controller: two contenders are called {name!r}; rename the factory.")
         for name in self.only:
-            find(name, known=every)
+            contender = find(name, known=every)
+            if not {*contender.tasks} & {*self.tasks}:
+                able = "; ".join(each.name for each in self.known if {*each.tasks} & {*self.tasks})
+                raise ValueError(f"--only {name}: it does not {_DOES[self.tasks[0]]}; these do: {able}.")
 
     @property
     def joining(self) -> bool:
@@ -237,13 +246,41 @@ class Options(_runner.Options):
         """
         chosen = [contender for contender in self.known if not self.only or contender.name in self.only]
         if plant := self.elsewhere:
-            ideal = plant.rig.ideal
             chosen = [
                 contender for contender in chosen
-                if (not contender.policy or contender.learner) and (ideal or not contender.learner)
+                if not _stays_away(contender, plant.rig)
                 and (contender.prior_knowledge is not _TUNED or contender.name in self.only)
             ]  # fmt: skip
         return [contender for contender in (*chosen, *map(own, self.controller)) if task in contender.tasks]
+
+    @property
+    def absent(self) -> list[str]:
+        """Who takes no part on the rig, and why, in sentences; those that the options leave out are not named."""
+        plant, named = self.elsewhere, dict[str, list[str]]()
+        asked = [each for each in self.known if not self.only or each.name in self.only] if plant else []
+        for contender in asked:
+            why = _stays_away(contender, plant.rig) if plant else ""
+            if not why and contender.prior_knowledge is _TUNED and not self.only:
+                why = "What is tuned in simulation, for minutes, takes part where --only names it."
+            if why and {*contender.tasks} & {*self.tasks}:
+                named.setdefault(why, []).append(contender.name)
+        return [f"Without {'; '.join(names)}. {why}" for why, names in named.items()]
+
+
+_DOES: dict[TaskName, str] = {"balance": "balance", "swing-up": "swing up"}
+
+
+def _stays_away(contender: Contender, rig: Rig) -> str:
+    """Return why a contender takes no part on a rig that is not that of the comparisons; empty if it does."""
+    if contender.learner is None:
+        return "Networks control the rig on which they were trained." if contender.policy else ""
+    if not rig.ideal:
+        return "Learners learn on rigs without lag, delay, noise and rounding."
+    try:
+        contender.learner(rig)
+    except ValueError as error:
+        return str(error)
+    return ""
 
 
 def find(name: str, own_controller: Own | None = None, known: Iterable[Contender] = CONTENDERS) -> Contender:

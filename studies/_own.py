@@ -14,6 +14,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
 from types import FunctionType, MethodType, ModuleType
@@ -26,6 +27,9 @@ from dpend import Controller, Rig
 from dpend.controller import as_controller, check_controller, is_batched
 
 from ._closure import closure_of_file, combined, file_hash, within_environment
+
+tried_on: ContextVar[Rig | None] = ContextVar("tried_on", default=None)
+"""The rig of the study that loads a controller, where that is another than that of the comparisons."""
 
 
 class Own(NamedTuple):
@@ -49,8 +53,15 @@ class Loaded(NamedTuple):
         return self.own.spec.rpartition(":")[2]
 
     def make(self, rig: Rig) -> Controller:
-        """Return the controller for a rig."""
-        return _made(self.factory, rig)
+        """Return the controller for a rig; a ValueError if the factory refuses it in any way."""
+        try:
+            return _made(self.factory, rig)
+        except Exception as error:
+            raise ValueError(_said(self.own.spec, error)) from error
+
+
+def _said(spec: str, error: Exception) -> str:
+    return f"--controller {spec}: {type(error).__name__}: {error}"
 
 
 def load_own(spec: str, rig: Rig) -> Loaded:
@@ -64,7 +75,7 @@ def load_own(spec: str, rig: Rig) -> Loaded:
         ``path.py:factory`` or ``module:factory``.  The factory is a function or class, called with the rig, or with
         nothing where it takes nothing; or a controller, or a plain function ``law(t, x)`` of one state.
     rig : Rig
-        The rig on which it is tried.
+        The rig on which it is tried, unless :data:`tried_on` has another.
 
     Raises
     ------
@@ -74,6 +85,7 @@ def load_own(spec: str, rig: Rig) -> Loaded:
     place, _, name = spec.rpartition(":")
     if not place or not name:
         raise ValueError(f"--controller must be path.py:factory or module:factory; got {spec!r}.")
+    rig = tried_on.get() or rig
     try:
         with _files_read() as read:
             before = set(sys.modules)
@@ -85,7 +97,7 @@ def load_own(spec: str, rig: Rig) -> Loaded:
             check_controller(made)
             dpend.simulate(rig, made, [0, 0.01, 0.01, 0, 0, 0], 2 * rig.sample_time)
     except Exception as error:
-        raise ValueError(f"--controller {spec}: {type(error).__name__}: {error}") from error
+        raise ValueError(_said(spec, error)) from error
     parts, outside = closure_of_file(Path(str(module.__file__)))
     names = {*outside, *(set(sys.modules) - before)} - {module.__name__}
     brought = {key: loaded for key in names if (loaded := _outside(key))}

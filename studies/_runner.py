@@ -5,6 +5,8 @@ A study is a module with a docstring that says question, method and finding, and
 job is a file of its own, so that a study that was stopped in any way goes on where it was, and no row is lost or
 doubled.  That file is named after a hash of everything the result depends on: the job, the code that ``run`` reaches
 and the data shipped beside it, as far as the job names them, and the versions of the libraries.
+
+A contender may refuse a rig.  Then the study goes on without it and says so in a sentence; see :func:`_group`.
 """
 
 from __future__ import annotations
@@ -42,6 +44,7 @@ from dpend.workers import interruptible, pool
 from ._closure import closure, covered, kept_folder, kept_table, source_hash
 from ._figures import look
 from ._help import help_of
+from ._own import tried_on
 from ._plant import DEFAULT_RIG, Plant, rig_of
 from ._table import AnyArray, Table, load, read_rows, save, where
 from ._tables import Sheet, document, terminal
@@ -133,9 +136,18 @@ class Options:
         return None if self.plant.rig == rig_of(None) else self.plant
 
     @property
+    def absent(self) -> Sequence[str]:
+        """Who takes no part, and why, in sentences."""
+        return ()
+
+    @property
     def joining(self) -> bool:
         """Whether something of the user's own joins what comes with the project, so that results of that are reused."""
         return False
+
+
+class NobodyTakesPart(ValueError):
+    """A study that has nothing to do: its options leave nobody in, or all refuse the rig."""
 
 
 class Result(NamedTuple):
@@ -212,6 +224,9 @@ def main(name: str, arguments: Sequence[str] | None = None) -> Table:
                 return run_study(name, options)
             with pool(options.workers) as executor:
                 return run_study(name, options, executor)
+    except NobodyTakesPart as error:
+        console.print(f"[bold red]Error:[/] {escape(str(error))}", soft_wrap=True)
+        raise SystemExit(2) from None
     except OSError as error:
         reason = error if error.filename else error.strerror or error
         console.print(f"[bold red]Error:[/] {escape(str(reason))}. Finished jobs are kept.", soft_wrap=True)
@@ -240,6 +255,8 @@ def run_study(name: str, options: Options, executor: Executor | None = None) -> 
     ------
     OSError
         If something cannot be written; before anything runs, if the folder cannot be.
+    NobodyTakesPart
+        If there is no job, or of every one the contender refuses the rig.
     RuntimeError
         If processes cannot be started from where this is called.
     """
@@ -250,7 +267,11 @@ def run_study(name: str, options: Options, executor: Executor | None = None) -> 
     study = cast(Study, importlib.import_module(name))
     short = name.removeprefix("studies.")
     out = _writable(options.out or Path("results") / (f"{short}-quick" if options.quick else short))
+    for sentence in options.absent:
+        print(sentence)
     jobs = study.jobs(options)
+    if not jobs:
+        raise NobodyTakesPart(f"Of those that were asked for nobody takes part{_on(options)}.")
     keys = {job: key(name, job) for job in jobs}
     if len(keys) < len(jobs):
         raise ValueError(f"{name}: two of its jobs are the same.")
@@ -264,7 +285,13 @@ def run_study(name: str, options: Options, executor: Executor | None = None) -> 
         print(f"None of {len(keys)} jobs comes from {kept_folder(short)}, {_differs(name)}; all are computed here.")
     done |= shipped
     earlier = len(done)
-    done |= _do(name, {job: file for job, file in files.items() if job not in done}, len(files), executor)
+    did, refusals = _do(name, {job: file for job, file in files.items() if job not in done}, len(files), executor)
+    done |= did
+    keys = {job: digits for job, digits in keys.items() if _group(job) not in refusals}
+    if not keys:
+        raise NobodyTakesPart(f"Nobody takes part{_on(options)}: {' '.join(dict.fromkeys(refusals.values()))}")
+    for (contender, *details), why in refusals.items():
+        print(" ".join([contender, *(f"({each})" for each in details), f"takes no part: {why}"]))
 
     works = [done[job] for job in keys]
     rows = [
@@ -435,38 +462,92 @@ def _differs(name: str) -> str:
     return "which has other sources" if meta["source"] != source_hash(name) else "which has other options"
 
 
-def _do(name: str, work: Mapping[Any, Path], total: int, executor: Executor | None) -> dict[Any, _Work]:
-    """Do jobs, here or by an executor, and keep each when it is done, with a progress bar."""
+class _Refused(NamedTuple):
+    """Why a job is not done: what its contender says of the rig, or how a user's own fails on it."""
+
+    why: str
+
+
+def _group(job: Any) -> tuple[str, ...]:
+    """Return with which others a job stands and falls: those of its contender or learner at a task, on a preset.
+
+    The table lacks all of a group if one of its jobs is refused, since half of a comparison is none.
+    """
+    values = [getattr(job, name, None) for name in ("contender", "learner", "task", "rig")]
+    return tuple(value for value in values if isinstance(value, str))
+
+
+def _elsewhere(job: Any) -> Plant | None:
+    """Return the plant of a job where it is another than that of the comparisons."""
+    plant = getattr(job, "elsewhere", None) or getattr(job, "plant", None)
+    return plant if isinstance(plant, Plant) and plant.rig != rig_of(None) else None
+
+
+def _on(options: Options) -> str:
+    return f" on {plant.name}" if (plant := options.elsewhere) else ""
+
+
+def _do(
+    name: str, work: Mapping[Any, Path], total: int, executor: Executor | None
+) -> tuple[dict[Any, _Work], dict[tuple[str, ...], str]]:
+    """Do jobs, here or by an executor, and keep each when it is done, with a progress bar; return refusals by group."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     done: dict[Any, _Work] = {}
+    refusals: dict[tuple[str, ...], str] = {}
     with Progress(*columns, console=Console(stderr=True)) as progress:
         bar = progress.add_task(name, total=total, completed=total - len(work))
         for job, each in _done(name, work, executor):
-            archive.write(work[job], _JOB, each.record, each.arrays)
-            done[job] = each
+            if isinstance(each, _Refused):
+                refusals.setdefault(_group(job), each.why)
+            else:
+                archive.write(work[job], _JOB, each.record, each.arrays)
+                done[job] = each
             progress.advance(bar)
-    return done
+    return done, refusals
 
 
-def _done(name: str, work: Mapping[Any, Path], executor: Executor | None) -> Iterator[tuple[Any, _Work]]:
-    """Return jobs with what is to be kept of them, in the order in which they end."""
+def _done(name: str, work: Mapping[Any, Path], executor: Executor | None) -> Iterator[tuple[Any, _Work | _Refused]]:
+    """Return jobs with what is to be kept of them, in the order in which they end; of a group one refusal is enough."""
     names = {job: closure(name, ("run", "Job"), _words(_plain(job)))[1] for job in work}
+    refused: dict[tuple[str, ...], _Refused] = {}
     if executor is None:
-        yield from ((job, _do_one(name, job, names[job])) for job in work)
+        for job in work:
+            each = refused.get(_group(job)) or _do_one(name, job, names[job])
+            if isinstance(each, _Refused):
+                refused[_group(job)] = each
+            yield job, each
         return
     waiting = {executor.submit(_do_one, name, job, names[job]): job for job in work}
     for future in as_completed(waiting):
-        yield waiting[future], future.result()
+        job = waiting[future]
+        each = refused[_group(job)] if future.cancelled() else future.result()
+        if isinstance(each, _Refused) and _group(job) not in refused:
+            refused[_group(job)] = each
+            for other in (other for other, its in waiting.items() if _group(its) == _group(job)):
+                other.cancel()
+        yield job, each
 
 
-def _do_one(name: str, job: Any, contenders: frozenset[str] | None) -> _Work:
-    """Do a job, which may look up the contenders of these names alone, those that its key covers."""
+def _do_one(name: str, job: Any, contenders: frozenset[str] | None) -> _Work | _Refused:
+    """Do a job, which may look up the contenders of these names alone, those that its key covers.
+
+    Another rig than that of the comparisons may be refused, and a user's own controller may fail anywhere; what comes
+    with the project does neither on the rig of the comparisons, so that an error there is one.
+    """
     began = time.perf_counter()
-    token = covered.set(contenders)
+    elsewhere, own = _elsewhere(job), getattr(job, "own", None)
+    tokens = covered.set(contenders), tried_on.set(elsewhere.rig if elsewhere else None)
     try:
         result = cast(Study, importlib.import_module(name)).run(job)
+    except (ValueError, RuntimeError) as error:
+        from controllers import NoTrajectory
+
+        if not (elsewhere or own) or not isinstance(error, ValueError | NoTrajectory):
+            raise
+        return _Refused(" ".join(str(error).split()))
     finally:
-        covered.reset(token)
+        covered.reset(tokens[0])
+        tried_on.reset(tokens[1])
     rows = [row if isinstance(row, dict) else asdict(row) for row in result.rows]
     names = {tuple(row) for row in rows}
     if len(names) != 1:

@@ -81,6 +81,7 @@ class Options(_field.Options):
     """Options of the command line."""
 
     known: ClassVar[tuple[Contender, ...]] = KNOWN
+    tasks = ("balance",)
 
     lam: tuple[float, ...] = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)  # Greatest starting angles, rad.
     trainings: Positive = 10  # Trainings of each learner that learns in seconds.
@@ -99,8 +100,6 @@ class Options(_field.Options):
             check_lam(lam)
         if len(set(self.lam)) < len(self.lam):
             raise ValueError(f"--lam names an angle twice; got {self.lam}.")
-        if not self.contenders("balance"):
-            raise ValueError(f"--only names no contender that balances; got {self.only}.")
 
     @property
     def sizes(self) -> tuple[int, int]:

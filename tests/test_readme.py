@@ -71,7 +71,7 @@ def test_a_controller_in_every_comparison_takes_ten_lines(mine):
 )
 def test_a_controller_of_ones_own_appears_in_every_comparison(study, spec, mine, tmp_path):
     out = tmp_path / "out"
-    others = ["TVLQR"] if study == "studies.swing_up" else ["LQR", "TVLQR"]
+    others = {"studies.swing_up": ["TVLQR"], "studies.lambda_sweep": ["LQR"]}.get(study, ["LQR", "TVLQR"])
     options = ["--quick", "--workers", "1", "--out", str(out), "--only", *others]
     table = _runner.main(study, ["--controller", spec, *options])
     assert "ByHand" in table.rows.to_numpy()

@@ -31,6 +31,7 @@ from tests import study_example
 
 ROOT = Path(__file__).parent.parent
 STUDIES = list(_runner.studies())
+NEED_AN_IDEAL_RIG = {name for name in STUDIES if "ideal" in importlib.import_module(name).Options.needs}
 VERSIONS = _runner.versions()
 
 
@@ -566,7 +567,7 @@ def test_every_study_takes_a_rig_and_its_help_fits_a_screen(name, capsys):
         (["--episodes", "1"], "--episodes must be at least 2; got 1."),
         (["--part-of", "1"], "--part-of must be at least 2; got 1."),
         (["--basins", "-1"], "--basins must be at least 0; got -1."),
-        (["--only", "TVLQR"], "--only names no contender that balances; got ('TVLQR',)."),
+        (["--only", "LQR", "TVLQR"], "--only TVLQR: it does not balance; these do: LQR; "),
         (["--only", "Q publish"], "No contender is called 'Q publish'. Did you mean 'Q published'?"),
         (["--workers", "0"], "--workers must be at least 1; got 0."),
         (["--seed", "-1"], "--seed must be at least 0; got -1."),
@@ -587,12 +588,35 @@ def test_every_study_says_its_question_and_its_finding(name):
     assert finding.startswith("Finding: ")
 
 
+def runs_quickly(name, tmp_path, *rig):
+    table = _runner.main(name, ["--quick", "--out", str(tmp_path), "--workers", "1", *rig])
+    assert len(table.rows)
+    assert (tmp_path / f"{name.removeprefix('studies.')}.png").stat().st_size > 10_000
+
+
+COMPARISONS = {f"studies.{name}" for name in ("lambda_sweep", "leaderboard", "robustness", "smoothness", "swing_up")}
+"""Those that tests/test_readme.py runs on the rig of the comparisons; so here they run on another."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_study_runs_quickly(name, tmp_path):
-    table = _runner.main(name, ["--quick", "--out", str(tmp_path), "--workers", "1"])
-    assert len(table.rows)
-    assert (tmp_path / f"{name.removeprefix('studies.')}.png").stat().st_size > 10_000
+    runs_quickly(name, tmp_path, *(["--rig", "pilco2011"] if name in COMPARISONS else []))
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", sorted(COMPARISONS))
+def test_every_comparison_runs_quickly_with_everybody(name, tmp_path):
+    runs_quickly(name, tmp_path)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("rig", [("--rig", "pilco2011"), ("--set", "mass1=.6")], ids=" ".join)
+@pytest.mark.parametrize("name", sorted(set(STUDIES) - {"studies.deep_swing_up"}))  # which has trainings on one rig
+def test_every_study_runs_quickly_on_another_rig(name, rig, tmp_path):
+    if name in NEED_AN_IDEAL_RIG and rig == ("--rig", "pilco2011"):
+        rig = (*rig, "--set", "sensor_noise=0")
+    runs_quickly(name, tmp_path, *rig)
 
 
 def test_the_published_sweep_covers_every_reading_on_both_plants():
