@@ -173,17 +173,19 @@ def _train(options: Options, learner: Learner, out: Path, command: str, console:
         if min(options.workers, options.seeds) == 1:
             done = {seed: _train_one(learner, seed, out, command, show) for seed in seeds}
         else:
-            with get_context("spawn").Manager() as manager, pool(options.workers, learner=learner) as executor:
-                news: Any = manager.Queue()
-                jobs = {seed: executor.submit(_train_one, learner, seed, out, command, news.put) for seed in seeds}
-                going = set(jobs.values())
-                while going:
-                    finished, going = wait(going, timeout=0.5, return_when=FIRST_EXCEPTION)
-                    while not news.empty():
-                        show(news.get())
-                    for job in finished:
-                        job.result()
-                done = {seed: job.result() for seed, job in jobs.items()}
+            with pool(options.workers, learner=learner) as executor:
+                executor.submit(int).result()  # a program that no worker can import is told so before anything else
+                with get_context("spawn").Manager() as manager:
+                    news: Any = manager.Queue()
+                    jobs = {seed: executor.submit(_train_one, learner, seed, out, command, news.put) for seed in seeds}
+                    going = set(jobs.values())
+                    while going:
+                        finished, going = wait(going, timeout=0.5, return_when=FIRST_EXCEPTION)
+                        while not news.empty():
+                            show(news.get())
+                        for job in finished:
+                            job.result()
+                    done = {seed: job.result() for seed, job in jobs.items()}
     rows = [{"seed": str(seed)} | _row(learner, training) for seed, training in done.items()]
     table = Table(*rows[0])
     for row in rows:

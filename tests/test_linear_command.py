@@ -1,6 +1,9 @@
 """The command that trains linear learners, and the policies it made that are shipped."""
 
+import subprocess
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,6 +82,25 @@ def test_ctrl_c_ends_the_command_with_130(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit, match="130"):
         main(["--algo", "stopped", "--out", str(tmp_path)])
     assert "Stopped. Seeds that were finished are kept." in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("from_input", "remedy"),
+    [(False, 'keep what it does under `if __name__ == "__main__":`'), (True, "is no file: save it as one")],
+    ids=["no guard", "standard input"],
+)
+def test_a_program_that_trains_in_processes_and_cannot_be_imported_is_told_the_remedy(from_input, remedy, tmp_path):
+    words = ["--algo", "lspi", "--seeds", "2", "--workers", "2", "--out", str(tmp_path / "out")]
+    program = f"from rl.train import main\nmain({words})\n"
+    (tmp_path / "program.py").write_text(program)
+    command = [sys.executable, "-" if from_input else str(tmp_path / "program.py")]
+    environment = {"PYTHONPATH": str(Path(__file__).parent.parent), "PATH": ""}
+    done = subprocess.run(command, input=program, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert remedy in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
