@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import dpend
-from controllers import ILQRMPC, LQR, NoTrajectory
+from controllers import ILQRMPC, LQR, NoTrajectory, tuned_law
 from controllers.least_force import LeastForce
 from rl import load_policy
 from studies import _figures, recoverable
@@ -303,8 +303,13 @@ def test_the_kept_table_agrees_with_its_random_starts_and_its_motions_hold():
     solved = np.asarray(random["force"] <= 40)
     starts = np.zeros((len(random), 6))
     starts[:, 1:3] = random[["th1", "th2"]]
-    assert len(random) >= 100
-    assert np.mean(kept_boundary().savable(starts) == solved) >= 0.99
+    assert len(random) >= 3000
+    inside = kept_boundary().savable(starts)
+    assert not (solved & ~inside).any()
+    lacking = inside & ~solved  # where the search from nothing ends without a motion
+    assert lacking.sum() <= 5
+    assert not np.isfinite(np.asarray(random["force"])[lacking]).any()
+    assert dpend.simulate_many(RIG, tuned_law(RIG, "gain"), starts[lacking], task=TASK).success.all()
     assert set(rows["saves"]) == {"yes", "-"}
 
 
