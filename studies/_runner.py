@@ -42,6 +42,7 @@ from dpend.provenance import versions
 from dpend.workers import interruptible, pool
 
 from ._closure import closure, covered, kept_folder, kept_table, source_hash
+from ._cluster import cluster
 from ._figures import look
 from ._help import help_of
 from ._own import tried_on
@@ -85,6 +86,7 @@ class Options:
     out: Path | None = None  # Folder for all that is written; left out, in results/.
     seed: NonNegative = 0  # What all randomness is drawn from.
     workers: Positive = field(default_factory=lambda: os.cpu_count() or 1)  # Processes that share the work.
+    scheduler: str | None = None  # Address of a Dask scheduler: its workers do it.
     quick: bool = False  # Few runs, to see in seconds that all works.
     format: Literal["png", "pdf", "svg"] = "png"  # File format of the figures.
     fresh: bool = False  # Take no results of others from docs/results beside your own.
@@ -220,9 +222,9 @@ def main(name: str, arguments: Sequence[str] | None = None) -> Table:
     try:
         options = tyro.cli(study.Options, args=arguments, prog=program)
         with interruptible():
-            if arguments is not None and options.workers == 1:
+            if arguments is not None and options.workers == 1 and not options.scheduler:
                 return run_study(name, options)
-            with pool(options.workers) as executor:
+            with cluster(options.scheduler, key) if options.scheduler else pool(options.workers) as executor:
                 return run_study(name, options, executor)
     except NobodyTakesPart as error:
         console.print(f"[bold red]Error:[/] {escape(str(error))}", soft_wrap=True)
