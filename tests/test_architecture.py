@@ -213,6 +213,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
         "controllers/codegen.py",
         "controllers/shooting.py",
         "controllers/nmpc.py",
+        "studies/export/planner.py",
     ),
     "matplotlib": ("dpend/draw.py", "studies/*"),
     "torch": ("rl/sb3.py", "rl/pilco.py"),
@@ -225,6 +226,7 @@ ROOMS: dict[str, tuple[str, ...]] = {
     "distributed": ("studies/_runner.py",),
     "gymnasium": ("dpend/__init__.py", "dpend/env.py", "dpend/vector_env.py", "rl/*", "studies/*"),
     "pandas": ("studies/*",),
+    "onnx": ("studies/export/network.py",),
     "starlette": ("studies/playground/server.py",),
     "uvicorn": ("studies/playground/server.py",),
 }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import runpy
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,24 @@ from numpy.testing import assert_allclose, assert_array_equal
 from rigs import whole
 
 import dpend
-from controllers import LQR, NMPC, SDRE, TVLQR, BangBang, Constant, RateLimit, SwitchingController, tuned_law
+from controllers import (
+    EKF,
+    LQR,
+    NMPC,
+    SDRE,
+    TVLQR,
+    BangBang,
+    Constant,
+    Differences,
+    LowPass,
+    RateLimit,
+    SwitchingController,
+    WithEstimator,
+    tuned_law,
+)
 from rl import TableOneMean, load_policy
 from studies.export import NotExportable, controller_named, export, files
+from studies.export.planner import RealTimeNMPC
 
 RIG = dpend.rig("gustafsson2016")
 K = LQR(RIG).K[0]
@@ -52,6 +68,11 @@ LAWS: dict[str, Callable[[], Any]] = {
     "mean with signs": lambda: mean("signs", 3),
     "mean with cells": lambda: mean("cells", 8),
     "function": lambda: wavering,
+    "rate limit": lambda: RateLimit(RIG, LQR(RIG), 400.0),
+    "low-pass": lambda: LowPass(RIG, load_policy("ppo-swing-up"), frequency=20.0),
+    "differences": lambda: WithEstimator(Differences(RIG), LQR(RIG)),
+    "differences, network": lambda: WithEstimator(Differences(RIG), load_policy("ppo-swing-up-smooth")),
+    "differences, TVLQR": lambda: WithEstimator(Differences(RIG), TVLQR(RIG)),
     **{
         name: lambda name=name: load_policy(name)
         for name in ("q-tuned", "lspi", "qac-tuned", "ppo-swing-up", "ppo-swing-up-smooth", "ddpg-balance")
@@ -60,7 +81,7 @@ LAWS: dict[str, Callable[[], Any]] = {
 JUMPS = {"sign of LQR", "tuned sign", "q-tuned"}
 """Their loops magnify a rounding: between two jumps of the force nothing holds them to a motion."""
 
-QUICK = {"LQR", "q-tuned", "ppo-swing-up"}
+QUICK = {"LQR", "q-tuned", "ppo-swing-up", "differences", "rate limit"}
 
 _C = """\
 #include "law.h"
@@ -122,8 +143,85 @@ def test_an_exported_law_answers_and_balances_as_in_python(name: str, to: str, t
         command = foreign.script(folder, _JAVASCRIPT.replace("SAMPLES", str(SAMPLES)))
     x0 = STARTS.get(name, np.array([0.0, 0.08, -0.06, 0.0, 0.0, 0.0]))
     expected = dpend.simulate(RIG.replace(track_limit=np.inf), law, x0, SAMPLES * RIG.sample_time, task=None).u
-    allowed = 1e-5 if hasattr(law, "network") else 1e-9
+    allowed = 1e-5 if hasattr(getattr(law, "controller", law), "network") else 1e-9
     assert_allclose(foreign.run(command, x0) / 40, expected / 40, rtol=0, atol=allowed)
+
+
+STATES = """\
+#include "law.h"
+#include <stdio.h>
+int main(void)
+{
+    double m[LAW_MEMORY], y[6];
+    law_reset(m);
+    while (fread(y, sizeof y, 1, stdin) == 1) {
+        law_act(m, y);
+        fwrite(m, sizeof y, 1, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def test_an_estimator_alone_leaves_the_state_that_it_leaves_in_python(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    y = rng.normal(scale=3.0, size=(200, 6))
+    y[5:100, 1] += np.linspace(0, 20, 95)  # whole turns
+    y[[20, 21, 50, 70], [0, 1, 2, 3]] = np.nan  # of which the last is a rate, which does not count
+    folder = export(controller_named("Differences", RIG), RIG, "c", tmp_path)
+    found = foreign.run(foreign.build("gcc", folder, STATES, folder / "law.c"), y).reshape(-1, 6)
+    follow = Differences(RIG).follow(1)
+    assert_allclose(found, [follow(row[None], np.zeros(1))[0] for row in y], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.slow  # a minute, most of it the compiler's
+def test_nmpc_in_c_answers_as_in_casadi_and_almost_as_nmpc(tmp_path: Path) -> None:
+    folder, nmpc = export(NMPC(RIG), RIG, "c", tmp_path), NMPC(RIG)
+    assert not re.search(r"\b[mc]alloc\(", (folder / "plan.c").read_text())
+    command = foreign.build("gcc", folder, _C.replace("SAMPLES", str(SAMPLES)), folder / "law.c", folder / "plan.c")
+    x0 = np.array([0.0, 0.08, -0.06, 0.0, 0.0, 0.0])
+    forces = foreign.run(command, x0) / 40
+    twin, fatrop = (dpend.simulate(RIG, law, x0, 6.0, task=None).u / 40 for law in (RealTimeNMPC(nmpc), nmpc))
+    assert_allclose(forces, twin, rtol=0, atol=1e-9)
+    assert_allclose(forces, fatrop, rtol=0, atol=1e-3)  # whose tolerance is 1e-4
+
+
+@pytest.mark.parametrize("name", ["ppo-swing-up", "ppo-swing-up-smooth", "ddpg-balance"])
+@pytest.mark.parametrize(("real", "allowed"), [("double", 1e-9), ("float", 1e-5)])
+def test_a_network_in_onnx_answers_and_balances_as_in_python(
+    name: str, real: str, allowed: float, tmp_path: Path
+) -> None:
+    reference = pytest.importorskip("onnx.reference", reason="needs the extra onnx: pip install -e '.[onnx]'")
+    policy: Any = load_policy(name)
+    folder = export(policy, RIG, "onnx", tmp_path, real=real)
+    done = subprocess.run([sys.executable, folder / "check.py"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    session = reference.ReferenceEvaluator(str(folder / "policy.onnx"))
+    given = {"last": np.zeros((1, 1), dtype=np.dtype(real.replace("float", "float32")))}
+    given = given if "last" in session.input_names else {}
+    hold = int({each.key: each.value for each in session.proto_.metadata_props}["hold"])
+    found: list[Any] = []
+
+    def law(t: float, y: Any) -> float:
+        if round(t / RIG.sample_time) % hold == 0:
+            results = session.run(None, given | {"y": y[None].astype(real.replace("float", "float32"))})
+            found[:] = [results[0].item()]
+            given.update({"last": results[1]} if given else {})
+        return found[0]
+
+    x0 = np.array([0.0, 0.08, -0.06, 0.0, 0.0, 0.0])
+    loops = [dpend.simulate(RIG, each, x0, 6.0, task=None).u / 40 for each in (law, policy)]
+    assert_allclose(*loops, rtol=0, atol=allowed)
+
+
+def test_only_networks_go_to_onnx_and_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(
+        NotExportable, match=whole("LQR cannot be exported: it is no network, for which ONNX is; take C.")
+    ):
+        files(LQR(RIG), RIG, "onnx")
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(ImportError, match=whole("ONNX needs the extra `onnx`: pip install -e '.[onnx]'")):
+        files(load_policy("ppo-balance"), RIG, "onnx")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("name", ["LQR", "ppo-swing-up"])
@@ -148,8 +246,9 @@ def test_where_a_measurement_is_missing_the_last_one_counts(to: str, tmp_path: P
     assert checked(folder, to).startswith("60 forces")
 
 
-def test_the_loop_of_the_readme_compiles(tmp_path: Path) -> None:
-    folder = export(LQR(RIG), RIG, "c", tmp_path)
+@pytest.mark.parametrize("law", [LQR(RIG), WithEstimator(Differences(RIG), LQR(RIG))], ids=["LQR", "differences"])
+def test_the_loop_of_the_readme_compiles(law: Any, tmp_path: Path) -> None:
+    folder = export(law, RIG, "c", tmp_path)
     (loop,) = re.findall(r"```c\n(.*?)```", (folder / "README.md").read_text(), flags=re.DOTALL)
     board = "static int read_encoders(double *y) { return (y[0] = y[1] = y[2] = 0.0) == 0.0; }\n"
     board += "static int late(void) { return 0; }\nstatic void set_force(double u) { (void)u; }\n"
@@ -174,17 +273,21 @@ def test_the_header_says_states_units_clock_and_limits() -> None:
     [
         (lambda: SDRE(RIG), "SDRE cannot be exported: it solves a Riccati equation at every sample."),
         (
-            lambda: NMPC(RIG),
-            "NMPC cannot be exported: it solves an optimal-control problem at every sample, with CasADi's solvers.",
+            lambda: NMPC(RIG, setpoint=lambda t: 0.0),
+            "NMPC cannot be exported: a set-point that is a function of time is Python's own.",
+        ),
+        (
+            lambda: WithEstimator(EKF(RIG), LQR(RIG)),
+            "LQR behind EKF cannot be exported: of the estimators Differences alone is linear; EKF carries the plant "
+            "itself along.",
+        ),
+        (
+            lambda: LowPass(RIG, WithEstimator(Differences(RIG), LQR(RIG)), frequency=10.0),
+            "LQR behind Differences, low-pass 10 Hz cannot be exported: an estimator belongs outermost.",
         ),
         (
             lambda: SwitchingController(RIG, LQR(RIG)),
             None,
-        ),
-        (
-            lambda: RateLimit(RIG, LQR(RIG), 100.0),
-            "LQR, at most 100 N/s cannot be exported: it is a wrapper with memory; export the law that it wraps, its "
-            "`controller`.",
         ),
     ],
 )

@@ -8,13 +8,25 @@ are loops over tables.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from controllers import TVLQR, BangBang, Constant, LinearLaw, TunedLaw
+from controllers import (
+    NMPC,
+    TVLQR,
+    BangBang,
+    Constant,
+    Differences,
+    LinearLaw,
+    LowPass,
+    RateLimit,
+    TunedLaw,
+    WithEstimator,
+)
 from controllers.tvlqr import _REACH
 from dpend.controller import FunctionController, name_of
 from dpend.rig import Rig
@@ -22,6 +34,8 @@ from dpend.state import EQUILIBRIA, wrap_angle
 from dpend.tape import Tape
 from rl.features import make_value_features, slope_features
 from rl.policies import INDICATORS, GainPolicy, LinearQPolicy, MLPPolicy, TableOneMean
+
+from .planner import RealTimeNMPC
 
 OWN = 7
 """Where a law's own memory begins: six measurements and whether there were any come before."""
@@ -37,8 +51,14 @@ class Law(NamedTuple):
     """Constant arrays, flat, by name."""
     memory: Sequence[float] = ()
     """What its own memory begins with."""
-    network: bool = False
-    """Whether it is a network."""
+    measured: int = 6
+    """How many of the measurements it takes: all, or the positions alone."""
+    before: str = ""
+    """What stands before its functions."""
+    sources: Mapping[str, str] = {}
+    """Further files of C, by name."""
+    notes: str = ""
+    """What the README says of it, after a space."""
 
 
 class NotExportable(ValueError):
@@ -67,14 +87,14 @@ def law_of(controller: Any, rig: Rig) -> Law:
 
 
 _REASONS = {
+    "NMPC": "its form in C stands alone; export it without what stands around it",
     "ILQRMPC": "it plans at every sample, and its planner is compiled Python",
-    "NMPC": "it solves an optimal-control problem at every sample, with CasADi's solvers",
     "SDRE": "it solves a Riccati equation at every sample",
     "SwitchingController": "it decides by simulation which law is in charge; export the laws themselves",
     "PlannedPolicy": "it plans at every sample on the model that it learned",
     "ModelPolicy": "it plans at every sample on the model that it learned",
     "EnergySwingUp": "it hands over to another law within a region; export that law",
-    "Wrapper": "it is a wrapper with memory; export the law that it wraps, its `controller`",
+    "Wrapper": "it is a wrapper of an unknown kind; export the law that it wraps, its `controller`",
     "Network": "a bare network does not say what it observes; wrap it in rl.MLPPolicy",
 }  # fmt: skip
 
@@ -167,9 +187,13 @@ for (i = 0; i < 6; i++) {{
     return Law(["int k;", *find, *act], {name: table.ravel() for name, table in tables.items()}, memory)
 
 
+def held_samples(policy: MLPPolicy, rig: Rig) -> int:
+    """Return for how many samples a policy holds a force."""
+    return max(math.floor(policy.period * (1 - 1e-6) / rig.sample_time) + 1, 1)  # t > due, as the policy has it
+
+
 def _network(policy: MLPPolicy, rig: Rig) -> Law:
     network, scales = policy.network, [repr(scale) for scale in policy.scales.tolist()]
-    samples = max(math.floor(policy.period * (1 - 1e-6) / rig.sample_time) + 1, 1)  # t > due, as the policy has it
     widths = [network.inputs, *map(len, network.biases)]
     seen, spare = OWN + 2, OWN + 2 + max(widths)
     observed = ["m[0] / " + scales[0], "sin(m[1])", "cos(m[1])", "sin(m[2])", "cos(m[2])",
@@ -188,13 +212,97 @@ for (i = 0; i < {len(bias)}; i++) {{
     m[{write} + i] = {squash};
 }}""".splitlines()
         read, write = write, read
-    inside += [f"m[8] = m[{read}];", f"m[7] = {samples}.0;"]
+    inside += [f"m[8] = m[{read}];", f"m[7] = {held_samples(policy, rig)}.0;"]
     lines = ["int j;", "if (m[7] <= 0.0) {", *(f"    {line}" for line in inside), "}", "m[7] -= 1.0;",
              f"u = {float(policy.force_limit)!r} * m[8];"]  # fmt: skip
-    return Law(lines, tables, [0.0] * (2 + 2 * max(widths)), network=True)
+    return Law(lines, tables, [0.0] * (2 + 2 * max(widths)))
 
 
 _SQUASHES = {"tanh": "tanh(u)", "relu": "u > 0.0 ? u : 0.0", "clip": "u > 1.0 ? 1.0 : u < -1.0 ? -1.0 : u"}
+
+
+def _smoothed(controller: RateLimit | LowPass, rig: Rig) -> Law:
+    """Return the law and what goes from its last force, behind the law's memory, towards the law's."""
+    inner = law_of(controller.controller, rig)
+    if inner.measured < 6:
+        raise NotExportable(f"{controller.name} cannot be exported: an estimator belongs outermost.")
+    last, limit = f"m[{OWN + len(inner.memory)}]", float(controller.rig.force_limit)
+    lines = [*inner.lines, f"if (!(fabs(u) < 1e30)) u = {last};"]
+    if math.isfinite(limit):
+        lines.append(f"u = u > {limit!r} ? {limit!r} : u < -{limit!r} ? -{limit!r} : u;")
+    if isinstance(controller, RateLimit):
+        most = controller.rate * float(controller.rig.sample_time)
+        lines += [f"u -= {last};", f"u = {last} + (u > {most!r} ? {most!r} : u < -{most!r} ? -{most!r} : u);"]
+    else:
+        lines.append(f"u += {controller._decay!r} * ({last} - u);")
+    return inner._replace(lines=[*lines, f"{last} = u;"], memory=[*inner.memory, 0.0])
+
+
+def _estimated(controller: WithEstimator, rig: Rig) -> Law:
+    """Return the law behind differences of positions: those before, and the samples since, are behind its memory."""
+    estimator = controller.estimator
+    if not isinstance(estimator, Differences):
+        raise NotExportable(
+            f"{controller.name} cannot be exported: of the estimators Differences alone is linear; "
+            f"{type(estimator).__name__} carries the plant itself along."
+        )
+    inner = law_of(controller.controller, rig)
+    before, T = OWN + len(inner.memory), float(estimator.rig.sample_time)
+    lines = f"""\
+m[{before + 3}] += 1.0;
+if (finite) {{
+    for (i = 0; i < 3; i++) {{
+        m[3 + i] = m[i] - m[{before} + i];
+        if (i > 0) m[3 + i] -= {_TURN} * rint(m[3 + i] / {_TURN});
+        m[3 + i] *= m[{before + 4}] / (m[{before + 3}] * {T!r});
+        m[{before} + i] = m[i];
+    }}
+    m[{before + 3}] = 0.0;
+    m[{before + 4}] = 1.0;
+}}""".splitlines()
+    return inner._replace(lines=[*lines, *inner.lines], memory=[*inner.memory, *[0.0] * 5], measured=3)
+
+
+def portable(controller: Any) -> Any:
+    """Return what stands for a controller elsewhere: itself, but for NMPC, whose solver is a library of its own."""
+    if not isinstance(controller, NMPC):
+        return controller
+    try:
+        return RealTimeNMPC(controller)
+    except ValueError as error:
+        raise NotExportable(f"{name_of(controller)} cannot be exported: {error}") from None
+
+
+_PLANNED = """ `plan.c` is CasADi's code: sequential quadratic
+programming with its active-set method, without a heap. It needs some 20 kB of the stack and what `LAW_MEMORY` says, and
+one thread at a time may be in it. The problem is that of Python's NMPC, which hands it to fatrop, a library: forces
+agree up to the tolerance of that. It is for balancing: from far away its one guess rarely leads anywhere, and a sample
+then takes long."""
+
+
+def _planned(controller: RealTimeNMPC, rig: Rig) -> Law:
+    """Return the call of CasADi's function, whose memory and room to work in are the law's."""
+    header, source = controller.code()
+    kept, room = controller.function.size1_in(0), int(re.findall(r"plan_SZ_W (\d+)", header)[0])
+    after, work = OWN + kept, OWN + 2 * kept
+    lines = f"""\
+const casadi_real *arg[plan_SZ_ARG];
+casadi_real *res[plan_SZ_RES], seen[6];
+casadi_int iw[plan_SZ_IW];
+for (i = 0; i < 6; i++) seen[i] = finite ? m[i] : 1e9; /* then the state is as planned */
+arg[0] = m + {OWN};
+arg[1] = seen;
+res[0] = m + {after};
+res[1] = &u;
+if (plan(arg, res, iw, m + {work}, 0)) return 0.0;
+for (i = 0; i < {kept}; i++) m[{OWN} + i] = m[{after} + i];""".splitlines()
+    return Law(
+        lines,
+        memory=[0.0] * (2 * kept + room),
+        before='#include "plan.h"\n',
+        sources={"plan.h": header, "plan.c": source},
+        notes=_PLANNED,
+    )
 
 
 def _function(controller: FunctionController, rig: Rig) -> Law:
@@ -226,5 +334,9 @@ _LAWS: dict[type, Callable[[Any, Rig], Law]] = {
     TableOneMean: _table_one_mean,
     TVLQR: _tvlqr,
     MLPPolicy: _network,
+    RateLimit: _smoothed,
+    LowPass: _smoothed,
+    WithEstimator: _estimated,
+    RealTimeNMPC: _planned,
     FunctionController: _function,
 }

@@ -1,4 +1,4 @@
-/* Compare the law with what Python answered: cc -std=c99 -O2 check.c law.c -o check -lm && ./check < vector.csv */
+/* Compare the law with what Python answered: cc -std=c99 -O2 check.c ${sources} -o check -lm && ./check < vector.csv */
 #include "law.h"
 #include <math.h>
 #include <stdio.h>

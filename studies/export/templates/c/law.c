@@ -12,9 +12,9 @@ real law_act(real m[LAW_MEMORY], const real y[6])
 {
     int i, finite = 1;
     real u = 0.0;
-    for (i = 0; i < 6; i++) if (!(fabs(y[i]) < 1e30)) finite = 0;
+    for (i = 0; i < ${measured}; i++) if (!(fabs(y[i]) < 1e30)) finite = 0;
     if (finite) {
-        for (i = 0; i < 6; i++) m[i] = y[i];
+        for (i = 0; i < ${measured}; i++) m[i] = y[i];
         m[6] = 1.0;
     }
 ${lines}

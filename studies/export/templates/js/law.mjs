@@ -10,9 +10,9 @@ ${memory}    return m;
 export function act(m, y) {
     int i, finite = 1;
     real u = 0.0;
-    for (i = 0; i < 6; i++) if (!(fabs(y[i]) < 1e30)) finite = 0;
+    for (i = 0; i < ${measured}; i++) if (!(fabs(y[i]) < 1e30)) finite = 0;
     if (finite) {
-        for (i = 0; i < 6; i++) m[i] = y[i];
+        for (i = 0; i < ${measured}; i++) m[i] = y[i];
         m[6] = 1.0;
     }
 ${lines}
