@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
-from dpend import Params, rig
+from dpend import Params, equations, rig
 from dpend.params import Array
 from dpend.rig import Rig
 
@@ -98,3 +100,12 @@ def states() -> SearchStrategy[Array]:
 def forces() -> SearchStrategy[Array]:
     """Draw generalised forces ``(3,)`` for hypothesis."""
     return _arrays(_FORCES)
+
+
+def mutated(old: str, new: str) -> Callable[..., object]:
+    """Return ``make_rates`` with one sign wrong."""
+    source = Path(equations.__file__).read_text()
+    assert source.count(old) == 2  # in the rates and in their slopes, whichever comes first
+    module: dict[str, Callable[..., object]] = {}
+    exec(source.replace(old, new, 1), module)
+    return module["make_rates"]

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import foreign
 import numpy as np
 import pytest
-from rigs import random_forces, random_params, random_states, whole
+from rigs import mutated, random_forces, random_params, random_states, whole
 
 import dpend
 from dpend import emit, equations
@@ -129,16 +128,7 @@ def test_single_precision_differs_by_its_rounding_alone(tmp_path: Path) -> None:
     assert 1e-8 < error < 1e-3
 
 
-def mutated(old: str, new: str) -> Callable[..., object]:
-    """Return ``make_rates`` with one sign wrong."""
-    source = Path(equations.__file__).read_text()
-    assert source.count(old) == 2  # in the rates and in their slopes, whichever comes first
-    module: dict[str, Callable[..., object]] = {}
-    exec(source.replace(old, new, 1), module)
-    return module["make_rates"]
-
-
-@pytest.mark.parametrize("kind", ["gcc", "node"])
+@pytest.mark.parametrize("kind", [*foreign.COMPILERS, "node"])
 def test_a_wrong_sign_in_the_equations_is_a_wrong_sign_in_what_is_emitted(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from rigs import random_forces, random_params, random_states, whole
+from rigs import mutated, random_forces, random_params, random_states, whole
 
 import dpend
 from controllers import LQR
-from dpend import Balance, SwingUp
+from dpend import Balance, SwingUp, equations
 from dpend.rig import Rig, ideal_rig
 from dpend.vector_env import CartDoublePendulumVectorEnv
 
@@ -45,6 +46,18 @@ def test_rates_and_samples_are_those_of_python() -> None:
     ):
         error = np.abs(np.asarray(found) - expected).max(axis=1) / np.abs(expected).max(axis=1)
         assert error.max() < 1e-12
+
+
+def test_a_wrong_sign_in_the_equations_is_a_wrong_sign_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(16)
+    params = random_params(rng, 1000)
+    x, f = random_states(rng, 1000), random_forces(rng, 1000)
+    with monkeypatch.context() as patch:
+        patch.setattr(equations, "make_rates", mutated("s12 = s1 * c2 - c1 * s2", "s12 = s1 * c2 + c1 * s2"))
+        found = importlib.reload(jax_plant).rates(x, f, params.coefficients())
+    importlib.reload(jax_plant)
+    expected = dpend.rates(x, f, params)
+    assert (np.abs(np.asarray(found) - expected).max(axis=1) / np.abs(expected).max(axis=1)).max() > 0.1
 
 
 def test_derivatives_of_a_sample_are_those_of_the_linearized_plant() -> None:
