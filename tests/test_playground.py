@@ -16,6 +16,8 @@ from typing import Any
 import foreign
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image, ImageSequence
 from rigs import random_params, whole
@@ -390,6 +392,29 @@ def test_only_names_that_are_known_stand_for_anything() -> None:
 def test_what_is_no_json_object_of_finite_numbers_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match=r"^A message is a JSON object"):
         parsed(text)
+
+
+NUMBERS = st.integers() | st.floats() | st.sampled_from([10**400, 1e308, -1e308, 5e-324, True])
+ANYTHING = st.recursive(
+    st.none() | NUMBERS | st.text(max_size=8) | st.sampled_from(["LQR", "down-down", "../etc/passwd", "__class__"]),
+    lambda inner: st.lists(inner, max_size=7) | st.dictionaries(st.sampled_from(scene.CHANGES), inner, max_size=3),
+    max_leaves=14,
+)
+KEYS = ("do", "rig", "task", "changes", "controllers", "states", "k", "seed", "n", "push", "more")
+
+
+@settings(deadline=None, max_examples=300)
+@given(key=st.sampled_from(KEYS), value=ANYTHING, moved=st.booleans())
+def test_whatever_stands_in_a_message_it_is_answered_or_refused_in_words(key: str, value: Any, moved: bool) -> None:
+    playground = Playground(KNOWN)
+    playground.answer(described("LQR"))
+    message = ({"do": "advance", "n": 1} if moved else described("LQR")) | {key: value}
+    try:
+        answer = playground.answer(parsed(json.dumps(message)))
+    except ValueError as error:
+        answer = {"error": str(error)}
+    assert json.loads(json.dumps(answer, allow_nan=False))
+    assert playground.answer({"do": "advance", "n": 3})["lanes"]  # and it goes on
 
 
 def test_the_command_writes_the_page_or_says_what_is_wrong(

@@ -6,6 +6,7 @@ They take the extras ``web`` and ``web-test``, and Chromium as the system has it
 from __future__ import annotations
 
 import shutil
+import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -40,6 +41,16 @@ class Failing:
             return [0.0]
 
         return act
+
+
+class Hanging:
+    def start(self, n, rng):
+        def act(t, y):
+            while t > 0.5:
+                pass
+            return [0.0] * n
+
+        return act
 """
 
 
@@ -50,7 +61,7 @@ def addresses(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, st
 
     folder = tmp_path_factory.mktemp("playground")
     (folder / "mine.py").write_text(MINE)
-    server = Server([f"{folder / 'mine.py'}:Failing"])
+    server = Server([f"{folder / 'mine.py'}:{name}" for name in ("Failing", "Hanging")])
     serving = server.serving()
     thread = threading.Thread(target=serving.run, kwargs={"sockets": [server.listener]})
     thread.start()
@@ -243,12 +254,22 @@ def test_a_dropped_connection_is_made_again_and_the_run_goes_on(visit: Open) -> 
     assert page.evaluate("playground.lanes.map((lane) => lane.codes[0])") == [0, 0]
 
 
-def test_a_controller_that_fails_is_reported_and_the_other_goes_on(visit: Open) -> None:
-    page = visit("python", "left=Failing")
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("Failing", "Failing failed: RuntimeError: out of ideas"),
+        ("Hanging", "Hanging took longer than 2 s for one sample and was stopped."),
+    ],
+)
+def test_a_controller_that_fails_or_hangs_is_reported_and_nothing_else_stops(visit: Open, name: str, why: str) -> None:
+    other = visit("python", "left=stiff+LQR")
+    page = visit("python", f"left={name}")
     until(page, "playground.lanes[0].failed")
     ran(page, 1.0)
-    assert "Failing failed: RuntimeError: out of ideas" in page.locator("#status").inner_text()
+    assert why in page.locator("#status").inner_text()
     assert page.evaluate("playground.lanes[1].codes[0]") == 0
+    ran(other, 1.0)
+    assert other.evaluate("playground.lanes.map((lane) => lane.codes[0])") == [0, 0]
 
 
 @SOURCES
@@ -327,3 +348,37 @@ def test_it_can_be_read_on_a_phone_in_either_theme_and_used_by_keys_alone(visit:
     assert set(wanted) <= reached
     named = "(e) => e.labels?.length || e.textContent.trim() || e.ariaLabel"
     assert page.evaluate(f"[...document.querySelectorAll('button, select, input')].every({named})")
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Return axe-core, which finds faults of accessibility, as npm has it."""
+    npm = shutil.which("npm")
+    if npm is None:
+        pytest.skip("axe-core comes from npm, which is not installed here")
+    folder = tmp_path_factory.mktemp("axe")
+    command = [npm, "install", "--ignore-scripts", "--no-audit", "--prefix", str(folder), "axe-core@4"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f"npm could not fetch axe-core: {done.stderr.strip()[-200:]}")
+    return (folder / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
+
+
+FAULTS = """
+axe.run().then(({ violations }) => violations.filter(({ impact }) => ["serious", "critical"].includes(impact)).map(
+    ({ id, nodes }) => `${id}: ${nodes.map(({ html }) => html.slice(0, 80)).join(" ")}`))
+"""
+
+
+@pytest.mark.parametrize(
+    ("source", "scheme", "width"),
+    [("python", "light", 1280), ("python", "dark", 390), ("tab", "light", 390), ("tab", "dark", 1280)],
+)
+def test_axe_finds_no_serious_fault(visit: Open, axe: str, source: str, scheme: str, width: int) -> None:
+    page = visit(source, viewport={"width": width, "height": 900}, color_scheme=scheme)
+    ran(page, 0.5)
+    page.evaluate(axe)
+    assert page.evaluate(FAULTS) == []
+    page.evaluate("document.getElementById('push-left').removeAttribute('aria-label')")
+    page.evaluate("document.getElementById('push-left').textContent = ''")
+    assert [fault.partition(":")[0] for fault in page.evaluate(FAULTS)] == ["button-name"]
