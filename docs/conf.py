@@ -168,9 +168,18 @@ def text_of_inner_name(
     return content
 
 
+def write_playground(app: Sphinx, error: Exception | None) -> None:
+    """Write the page that needs no server beside the site, where the page about it embeds it."""
+    if error is None and app.builder.name == "html":
+        from studies.playground.export import export
+
+        export(Path(app.outdir) / "playground")
+
+
 def setup(app: Sphinx) -> None:
     """Register what this file adds to Sphinx."""
     app.connect("missing-reference", text_of_inner_name)
     app.connect("source-read", read_source)
     app.connect("autodoc-skip-member", skip_member)
     app.connect("autodoc-process-docstring", complete, priority=400)  # before numpydoc
+    app.connect("build-finished", write_playground)
