@@ -287,11 +287,10 @@ def _planned(controller: RealTimeNMPC, rig: Rig) -> Law:
     after, work = OWN + kept, OWN + 2 * kept
     lines = f"""\
 const casadi_real *arg[plan_SZ_ARG];
-casadi_real *res[plan_SZ_RES], seen[6];
+casadi_real *res[plan_SZ_RES];
 casadi_int iw[plan_SZ_IW];
-for (i = 0; i < 6; i++) seen[i] = finite ? m[i] : 1e9; /* then the state is as planned */
 arg[0] = m + {OWN};
-arg[1] = seen;
+arg[1] = m;
 res[0] = m + {after};
 res[1] = &u;
 if (plan(arg, res, iw, m + {work}, 0)) return 0.0;

@@ -167,9 +167,6 @@ def _planning(controller: NMPC, iterations: int) -> Any:
     high[:nx] = low[:nx] = start
     goals = casadi.vertcat(target[0], by_turns(casadi.DM(target[1:3]), xs[1:3, N]))
 
-    def moved_on(multipliers: Any, width: int) -> Any:
-        return casadi.vertcat(multipliers[width:], multipliers[-width:])
-
     found = _solver(program, iterations)(
         x0=guess, p=casadi.repmat(goals, N + 1, 1), lbx=low, ubx=high, lbg=0, ubg=0,
         lam_x0=casadi.vertcat(lam_x[nz:], casadi.DM.zeros(nz)),
