@@ -186,11 +186,11 @@ def _filled(name: str, words: dict[str, str], to: str, real: str) -> str:
     return translated(text, to, real) if name.endswith((".c", ".h", ".mjs")) else text
 
 
-def files(controller: Controller, rig: Rig, to: str, real: str = "double") -> dict[str, str | bytes]:
-    """Return what :func:`export` writes, by the names of its files."""
+def files(controller: Controller, rig: Rig, to: str, real: str = "double") -> dict[str, Any]:
+    """Return what :func:`export` writes, by the names of its files: texts, and a network's bytes."""
     controller = portable(controller)
     name = name_of(controller)
-    others: dict[str, str | bytes]
+    others: dict[str, Any]
     if to == "onnx":
         if not isinstance(controller, MLPPolicy):
             raise NotExportable(f"{name} cannot be exported: it is no network, for which ONNX is; take C.")

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from dpend.rig import Rig
@@ -31,13 +33,14 @@ def onnx_file(policy: MLPPolicy, rig: Rig, real: str) -> bytes:
 
     kind, numbers = (TensorProto.DOUBLE, np.float64) if real == "double" else (TensorProto.FLOAT, np.float32)
     network, limit = policy.network, float(rig.force_limit)
-    constants, nodes = [], []
+    constants: list[Any] = []
+    nodes: list[Any] = []
 
-    def constant(name: str, value: object, dtype: type = numbers) -> str:
+    def constant(name: str, value: Any, dtype: Any = numbers) -> str:
         constants.append(numpy_helper.from_array(np.asarray(value, dtype=dtype), name))
         return name
 
-    def node(operation: str, inputs: list[str], *outputs: str, **attributes: object) -> str:
+    def node(operation: str, inputs: list[str], *outputs: str, **attributes: Any) -> str:
         nodes.append(helper.make_node(operation, inputs, list(outputs), **attributes))
         return outputs[0]
 
@@ -64,7 +67,7 @@ def onnx_file(policy: MLPPolicy, rig: Rig, real: str) -> bytes:
     node("Mul", [h, constant("force_limit", policy.force_limit)], "wanted")
     node("Clip", ["wanted", constant("low", -limit), constant("high", limit)], "force")
 
-    def array(name: str, width: int) -> object:
+    def array(name: str, width: int) -> Any:
         return helper.make_tensor_value_info(name, kind, ["n", width])
 
     inputs = [array("y", 6), *([array("last", 1)] if recalls else [])]
