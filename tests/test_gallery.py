@@ -26,7 +26,7 @@ def test_a_script_runs_and_draws_figures_worth_a_slide(script, tmp_path, monkeyp
         assert figures or script.stem == "lab_2_learn_it"  # whose figures are the student's
         for figure in figures:
             texts = [each for each in figure.findobj(Text) if isinstance(each, Text) and each.get_text()]
-            assert min(text.get_fontsize() for text in texts) >= 7
+            assert min(float(text.get_fontsize()) for text in texts) >= 7
     plt.close("all")
 
 

@@ -6,6 +6,8 @@ By energy, by planning, by learning: three ways from hanging to upright, each wi
 track.
 """
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 
 import dpend
@@ -28,7 +30,7 @@ laws = {
 }
 runs = {name: dpend.simulate(rig, law, hanging, task=task) for name, (law, _) in laws.items()}
 
-places = [list(runs), ["force"] * 3]
+places: list[Any] = [list(runs), ["force"] * 3]
 fig, axes = plt.subplot_mosaic(places, figsize=(10, 6), height_ratios=(3, 2), layout="constrained")
 for name, run in runs.items():
     draw_strobe(axes[name], run.x[:120], rig)
