@@ -31,7 +31,7 @@ from rl.model_based import settled
 
 from . import _runner
 from ._closure import kept_table
-from ._estimates import median, number
+from ._estimates import median
 from ._figures import COLOURS, facets, legend_above, log_axis
 from ._runner import Plant, Positive, Report, Result, Table, read_rows, where
 from ._tables import Value, sheet
@@ -199,8 +199,8 @@ def report(table: Table) -> Report:
                 line |= {f"{kind}, s": middle, f"{kind}: trainings": int(np.sum(each.notna())),
                          f"{kind}, CPU s": median(own[f"{kind}_cpu"].dropna())}  # fmt: skip
             line["failed after the first"] = int(np.sum(own["failed"]))
-            line |= {"p99 of a step, ms": number(1e3 * own["step_p99"].median(), ".2g"),
-                     "first step, ms": number(1e3 * own["first_step"].median(), ".2g")}  # fmt: skip
+            line |= {"p99 of a step, ms": median(1e3 * own["step_p99"].dropna()),
+                     "first step, ms": median(1e3 * own["first_step"].dropna())}  # fmt: skip
             lines.append(line)
         words = {"PILCO, 2011": math.sqrt(math.prod(_PILCO))} if name == "pilco2011" else {}
         if name in RIGS and not words:

@@ -55,6 +55,10 @@ def mean(indicators: str, count: int) -> TableOneMean:
     return TableOneMean(v, indicators)
 
 
+def shipped(name: str) -> Any:
+    return load_policy(name)
+
+
 LAWS: dict[str, Callable[[], Any]] = {
     "constant": lambda: Constant(-3.0),
     "LQR": lambda: LQR(RIG),
@@ -69,12 +73,12 @@ LAWS: dict[str, Callable[[], Any]] = {
     "mean with cells": lambda: mean("cells", 8),
     "function": lambda: wavering,
     "rate limit": lambda: RateLimit(RIG, LQR(RIG), 400.0),
-    "low-pass": lambda: LowPass(RIG, load_policy("ppo-swing-up"), frequency=20.0),
+    "low-pass": lambda: LowPass(RIG, shipped("ppo-swing-up"), frequency=20.0),
     "differences": lambda: WithEstimator(Differences(RIG), LQR(RIG)),
-    "differences, network": lambda: WithEstimator(Differences(RIG), load_policy("ppo-swing-up-smooth")),
+    "differences, network": lambda: WithEstimator(Differences(RIG), shipped("ppo-swing-up-smooth")),
     "differences, TVLQR": lambda: WithEstimator(Differences(RIG), TVLQR(RIG)),
     **{
-        name: lambda name=name: load_policy(name)
+        name: lambda name=name: shipped(name)
         for name in ("q-tuned", "lspi", "qac-tuned", "ppo-swing-up", "ppo-swing-up-smooth", "ddpg-balance")
     },
 }
