@@ -1,3 +1,4 @@
+# pyright: reportMissingImports=false
 """Jobs of a study done by a cluster: whatever Dask can reach, from one machine to a queue of thousands."""
 
 from __future__ import annotations
