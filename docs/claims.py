@@ -14,9 +14,6 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parent.parent
 ELSEWHERE: Mapping[tuple[str, str], str] = {
-    ("docs/energy.md", "arrived within 30 s"): "rows of energy_swing_up: arrived of runs, Wilson's interval",
-    ("docs/robustness.md", "Swing-up needs a better model"): "robustness, where success falls to 50 %, in %",
-    ("docs/smoothness.md", "training"): "smoothness, deep trainings: mean or median, and range over the trainings",
     ("docs/trajectory-optimisation.md", "start"): "python -m benchmarks.tvlqr",
     ("docs/trajectory-optimisation.md", "rig"): "python -m benchmarks.tvlqr",
     ("docs/trajectory-optimisation.md", "The swing-up study"): "python -m benchmarks.tvlqr",

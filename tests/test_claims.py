@@ -27,7 +27,7 @@ def test_every_estimate_on_the_pages_rests_on_a_row(claims: ModuleType) -> None:
     found = [claim for page in claims.pages() for claim in claims.claims(page)]
     lacking = [f"{claim.page}: {each} in: {claim.words[:80]}" for claim in found for each in claim.lacking]
     assert not lacking, "These stand in no table of docs/results:\n" + "\n".join(lacking)
-    assert len(found) > 200
+    assert len(found) > 30  # those in sentences: the tables of most pages are taken from docs/results
     assert all(claim.rests_on for claim in found)
 
 

@@ -12,7 +12,7 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted([*EXAMPLES.glob("gallery/plot_*.py"), *EXAMPLES.glob("labs/lab_*.py")])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("script", SCRIPTS, ids=[path.stem for path in SCRIPTS])
 def test_a_script_runs_and_draws_figures_worth_a_slide(script, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -151,7 +151,7 @@ def test_where_only_those_are_asked_for_that_take_no_part_a_study_says_so(tmp_pa
         )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "others", "left"),
     [

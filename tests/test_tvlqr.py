@@ -187,7 +187,7 @@ def test_it_moves_between_any_two_equilibria(start: str, target: str) -> None:
     assert success(TVLQR(RIG, stored(start, target)), task, 50) >= 49
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_for_a_rig_without_a_stored_trajectory_one_is_found_when_it_starts() -> None:
     rig = RIG.replace(force_limit=38.0)
     assert shipped(rig) is None
