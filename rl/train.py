@@ -174,7 +174,7 @@ def _train(options: Options, learner: Learner, out: Path, command: str, console:
             done = {seed: _train_one(learner, seed, out, command, show) for seed in seeds}
         else:
             with pool(options.workers, learner=learner) as executor:
-                executor.submit(int).result()  # a program that no worker can import is told so before anything else
+                executor.submit(int).result()  # fails first, and says why, where workers cannot import the program
                 with get_context("spawn").Manager() as manager:
                     news: Any = manager.Queue()
                     jobs = {seed: executor.submit(_train_one, learner, seed, out, command, news.put) for seed in seeds}

@@ -352,7 +352,7 @@ def test_it_can_be_read_on_a_phone_in_either_theme_and_used_by_keys_alone(visit:
 
 @pytest.fixture(scope="module")
 def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return axe-core, which finds faults of accessibility, as npm has it."""
+    """Return the source of axe-core, which finds accessibility violations, from npm."""
     npm = shutil.which("npm")
     if npm is None:
         pytest.skip("axe-core comes from npm, which is not installed here")
@@ -364,7 +364,7 @@ def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
     return (folder / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
 
 
-FAULTS = """
+VIOLATIONS = """
 axe.run().then(({ violations }) => violations.filter(({ impact }) => ["serious", "critical"].includes(impact)).map(
     ({ id, nodes }) => `${id}: ${nodes.map(({ html }) => html.slice(0, 80)).join(" ")}`))
 """
@@ -378,7 +378,7 @@ def test_axe_finds_no_serious_fault(visit: Open, axe: str, source: str, scheme: 
     page = visit(source, viewport={"width": width, "height": 900}, color_scheme=scheme)
     ran(page, 0.5)
     page.evaluate(axe)
-    assert page.evaluate(FAULTS) == []
+    assert page.evaluate(VIOLATIONS) == []
     page.evaluate("document.getElementById('push-left').removeAttribute('aria-label')")
     page.evaluate("document.getElementById('push-left').textContent = ''")
-    assert [fault.partition(":")[0] for fault in page.evaluate(FAULTS)] == ["button-name"]
+    assert [violation.partition(":")[0] for violation in page.evaluate(VIOLATIONS)] == ["button-name"]

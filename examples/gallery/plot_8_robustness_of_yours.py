@@ -22,7 +22,7 @@ class ByHand:
 
 
 # %%
-# ``measure`` balances from twenty starts at every level of every axis; the law is not told.
+# ``measure`` balances from twenty starts at every level of every axis; the law does not know which.
 
 laws = {"by hand": (ByHand(), VERMILLION, "o-"), "LQR": (LQR("gustafsson2016"), BLUE, "s:")}
 outcomes = {name: measure(law, "balance", starts=20) for name, (law, *_) in laws.items()}

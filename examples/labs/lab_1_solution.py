@@ -55,7 +55,8 @@ print(f"saved: {saved(mine):.1%};  the same as LQR's: {np.allclose(K, LQR(rig, Q
 
 # %%
 # **Task 4.** Cheap force makes the loop stiff, and a stiff loop bears less delay: two samples are too late where the
-# margin is well below two. One sample all of these weights bear, but for a force so dear that the law is slow at all.
+# margin is well below two. All of these weights tolerate one sample, unless force costs so much that the law is slow
+# anyway.
 # Better than a compromise is to give the delay to the design: an estimator that predicts (:doc:`/estimators`).
 
 weights = np.geomspace(0.01, 100, 9)

@@ -63,7 +63,7 @@ print(np.sort(shares).round(2))
 # %%
 # **Task 4.** For instance: "On gustafsson2016, from 500 starts with both angles within 0.2 rad, the same for both,
 # LSPI from 120 s of experience near upright saves as many as the discounted LQR of the same weights, which had the
-# equations (paired difference below, one training). It was told the cost, the sample time and where upright is."
+# equations (paired difference below, one training). It knew the cost, the sample time and where upright is."
 # What to attack: one training, one plant, perfect sensors, and that the starts of learning were chosen near
 # upright.
 
