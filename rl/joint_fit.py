@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -34,6 +35,7 @@ from .harmonic import PRODUCTS, HarmonicModel, Posterior, allowed, by_product, f
 
 _FIRST_ROUNDS, _ROUNDS = 8, 3
 _UNTAUGHT = 3  # first rounds, while the states are still those measured, that leave noise and hyperparameters alone
+_ATTEMPTS = 7  # each begun with twice the noise of the one before
 _STEPS = 8  # of the search for hyperparameters, in a round
 _SUBSTEPS = 4
 _NEGLIGIBLE = 1e-3  # share of the accelerations below which a prior weight is left at zero
@@ -61,8 +63,11 @@ class _Basis(NamedTuple):
 
 def fit(
     episodes: Sequence[Episode], h: float, mirror: bool, gravity: bool, before: HarmonicModel | None
-) -> HarmonicModel:
-    """Return the posterior after episodes, in samples of ``h`` s, sought from the model before if there is one."""
+) -> HarmonicModel | None:
+    """Return the posterior after episodes, in samples of ``h`` s, sought from the model before if there is one.
+
+    Where less noise than there is lets the weights follow it, twice as much is begun with; None if no attempt succeeds.
+    """
     gained = np.concatenate([np.diff(episode.y[:, 3:], axis=0) for episode in episodes])
     size = np.sqrt(np.mean(gained**2, axis=0)) / h + 1e-9
     rates = np.concatenate([(episode.y[1:, 3:] + episode.y[:-1, 3:]) / 2 for episode in episodes])
@@ -87,12 +92,19 @@ def fit(
         none = np.empty(0)
         outputs = tuple(Posterior(none.astype(np.intp), none, none[:, None], hyper) for hyper in center)
         before = HarmonicModel(outputs=outputs, sensor_noise=noise, sample_time=h, mirror=mirror)
-    model, states, rounds = before, [episode.y for episode in episodes], _ROUNDS if known else _FIRST_ROUNDS
-    for k in range(rounds):
-        last = k == rounds - 1
-        learn = not last and (known or k >= _UNTAUGHT)
-        model, states = _round(episodes, states, model, basis(model), process, center, last, learn)
-    return model
+    rounds, learns_from = (_ROUNDS, 0) if known else (_FIRST_ROUNDS, _UNTAUGHT)
+    for attempt in range(_ATTEMPTS):
+        noise = before.sensor_noise * 2.0**attempt
+        model, states = replace(before, sensor_noise=noise), [episode.y for episode in episodes]
+        try:
+            for k in range(rounds):
+                last = k == rounds - 1
+                learn = not last and k >= learns_from
+                model, states = _round(episodes, states, model, basis(model), process, center, last, learn)
+            return model
+        except np.linalg.LinAlgError:
+            continue
+    return None
 
 
 def _round(
@@ -136,6 +148,8 @@ def _round(
             found += ((variance * noise) ** 2).sum(axis=0)
             expected += _determined(A, L, variance)
     sensor = model.sensor_noise
+    if not all(np.isfinite(x).all() for x in anew):
+        raise np.linalg.LinAlgError("The states sought have left the numbers.")
     if learn:
         rows = sum(len(z) for _, z in whitened)
         free = max(rows - (len(w) - spread.sum()), 0.1 * rows)

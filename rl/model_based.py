@@ -441,15 +441,20 @@ class ModelBased:
         priors = Priors(self.angles, self.second_order, self.cart_invariance, self.mirror)
         settings = {"sample_time": h, "force_limit": self.rig.force_limit, "track_limit": self.rig.track_limit}
 
-        def fit(runs: list[Run], policy: ModelPolicy | None) -> ModelPolicy:
+        def fit(runs: list[Run], policy: ModelPolicy | None) -> ModelPolicy | None:
             before: Any = None if policy is None else policy.model
             model: Any = (
                 joint_fit.fit([joint_fit.Episode(run.y, run.u) for run in runs], h, self.mirror, self.gravity, before)
                 if self.structure
                 else KernelModel.fit(transitions(runs), h, priors, rng, before)
             )
-            return ModelPolicy(model, **settings)
+            return policy if model is None else ModelPolicy(model, **settings)
 
         runs, policies, spent, success = practise(self, session, self.task.steps, fit)
+        if not policies:
+            raise RuntimeError(
+                f"ModelBased found no model in {session.spent * h:g} s of experience: expected measurements with less "
+                "noise than motion; got more. Try less sensor noise, more force or more experience."
+            )
         noise = np.array([policy.model.noise for policy in policies])
         return practised(session, runs, policies, spent, success, self.streak, {"noise": noise})

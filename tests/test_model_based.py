@@ -33,11 +33,11 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-def moved(episodes: int, seed: int) -> list[dpend.Run]:
+def moved(episodes: int, seed: int, rig: dpend.Rig = RIG) -> list[dpend.Run]:
     """Return episodes of random forces from hanging."""
     task = dpend.SwingUp(angle_spread=0.1, steps=100)
-    starts = task.starts(np.random.default_rng(seed), episodes, RIG)
-    runs = dpend.simulate_many(RIG, RandomForces(RIG), starts, task=task, seed=seed, record=True)
+    starts = task.starts(np.random.default_rng(seed), episodes, rig)
+    runs = dpend.simulate_many(rig, RandomForces(rig), starts, task=task, seed=seed, record=True)
     return [runs[i] for i in range(episodes)]
 
 
@@ -228,6 +228,8 @@ def test_what_is_learned_of_hanging_links_and_noisy_sensors_holds_upright() -> N
     upright, u = rng.uniform(-0.15, 0.15, (200, 6)), rng.uniform(-5, 5, 200)
     wanted = dpend.rates(upright, u, RIG.params)[:, 3:]
     believed, blind = (joint_fit.fit([Episode(run.y, run.u)], H, True, known, None) for known in (True, False))
+    assert believed is not None
+    assert blind is not None
     assert_allclose(believed.sensor_noise, 0.01, rtol=0.6)
     off = believed.accelerations(upright, u) - wanted
     assert np.sqrt(np.mean(off**2)) < 0.03 * np.sqrt(np.mean(wanted**2))
@@ -250,11 +252,21 @@ def test_of_a_plant_drawn_from_the_prior_the_posterior_is_as_sure_as_it_may_be()
             x[k + 1] = x[k] + D[0, :, 7]
         episodes.append(Episode(x + 0.01 * rng.standard_normal(x.shape), u))
     model = joint_fit.fit(episodes, H, True, True, None)
+    assert model is not None
     assert_allclose(model.noise, 0.01, rtol=0.3)
     seen, forces = np.concatenate([each.y[:-1] for each in episodes]), np.concatenate([each.u for each in episodes])
     off = (model.accelerations(seen, forces) - truth.accelerations(seen, forces)) / model.uncertainty(seen, forces)
     assert 0.7 < np.sqrt(np.mean(off**2)) < 1.5
     assert np.mean(np.abs(off) < 2) > 0.85
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.1, 1.0])
+def test_noise_as_great_as_the_motion_is_found_and_not_fitted(noise: float) -> None:
+    (run,) = moved(1, seed=1, rig=RIG.replace(sensor_noise=noise, force_limit=2.0))
+    model = joint_fit.fit([Episode(run.y, run.u)], H, True, True, None)
+    assert model is not None
+    assert_allclose(model.sensor_noise, noise, rtol=0.35)
 
 
 # ------------------------------------------------------------------------------------------------------------- learners
@@ -342,3 +354,11 @@ def test_two_seconds_of_motion_and_the_equations_swing_up(preset: str) -> None:
 def test_settings_out_of_range_are_refused(learner: Any, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=whole(message)):
         learner(**({"rig": RIG} | changes))
+
+
+def test_without_a_model_there_is_no_policy_and_no_training(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(joint_fit, "fit", lambda *_: None)
+    with pytest.raises(
+        RuntimeError, match="ModelBased found no model in 1 s of experience: expected measurements with"
+    ):
+        ModelBased(RIG, episodes=1).train(0, seconds=1.0)
