@@ -14,12 +14,11 @@ import numpy.typing as npt
 from dpend.arguments import checked_positive, is_finite
 from dpend.controller import Act
 from dpend.deprecation import renamed_arguments
+from dpend.laws import holding
 from dpend.params import Array
 from dpend.plant import energies, rates
 from dpend.rig import Rig, single_rig
 from dpend.state import state_rows
-
-from .wrapping import holding
 
 
 class _EnergyLaw:

@@ -18,12 +18,13 @@ import numpy.typing as npt
 
 from dpend.arguments import checked_array
 from dpend.controller import Act, Controller, Law
+from dpend.laws import finite_rows, log_of, watch, with_logs
 from dpend.params import Array
 from dpend.rig import Rig, ideal_rig, single_rig
 from dpend.state import wrap
 from dpend.stepper import Stepper
 
-from .wrapping import Wrapper, finite_rows, log_of, watch, with_logs
+from .wrapping import Wrapper
 
 Follow = Callable[[Array, Array], Array]
 r"""An estimator at work, :math:`\hat x = \mathrm{follow}(y, u)`: measurements ``(n, 6)`` and the commands ``(n,)`` that

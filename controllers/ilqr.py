@@ -22,7 +22,6 @@ from __future__ import annotations
 import math
 from collections import ChainMap
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -31,8 +30,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from dpend.arguments import checked_array, checked_positive, checked_seed, checked_whole, is_finite
+from dpend.arguments import checked_array, checked_flag, checked_positive, checked_seed, checked_whole, is_finite
 from dpend.controller import Act
+from dpend.laws import watch
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
 from dpend.rows import in_parts, row_generators
@@ -53,7 +53,6 @@ from .ilqr_kernels import (
 )
 from .lqr import LQR
 from .trajectory import Trajectory
-from .wrapping import watch
 
 _FIRST = 60  # iterations for each start of a first plan
 _TRIALS = 8  # lengths of step tried in an iteration
@@ -382,7 +381,7 @@ class ILQRMPC:
         self.horizon_steps = self._planner.N
         self.horizon = self.horizon_steps * self.rig.sample_time
         self.iterations, self.starts = checked_whole("iterations", iterations, 0), checked_whole("starts", starts, 0)
-        self.explore = bool(explore) and not upright_only
+        self.explore = checked_flag("explore", explore) and not upright_only
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs; each row draws as it would alone, see :func:`dpend.rows.row_generators`."""
@@ -407,6 +406,9 @@ class _Planner:
     ) -> None:
         rig = single_rig(rig, "iLQR")
         self.target = as_equilibrium(target)
+        if not (model is None or isinstance(model, Model)):
+            raise TypeError(f"model must be a controllers.Model, or None for the rig's plant; got {model!r}.")
+        checked_flag("upright_only", upright_only)
         params, here = rig.params, None
         if model is None:
             g, L = float(params.gravity), float(params.length1 + params.length2) / 2
@@ -569,11 +571,6 @@ class _Horizons:
         self.plans = Plans.blank(n, planner.N)
         self.challengers = Plans.blank(n if mpc.explore else 0, planner.N)
         self._age = np.full(n, -1)  # samples for which a challenger was worked on; there is none at -1
-
-    def follow(self, parameters: tuple[Any, ...]) -> None:
-        """Plan on the same model with other parameters from now on; the weight of a plan's end stays."""
-        self._planner = copy(self._planner)
-        self._planner.setting = self._planner.setting._replace(parameters=parameters)
 
     def __call__(self, t: float, y: Array) -> Array:
         return self.among(t, y, self._everywhere)

@@ -15,12 +15,13 @@ from scipy.linalg import solve, solve_continuous_are, solve_discrete_are
 from dpend.arguments import checked_array, checked_name, checked_positive, is_finite
 from dpend.controller import Act, Controller, Law
 from dpend.deprecation import renamed_arguments
+from dpend.laws import holding
 from dpend.linear import discretize, linearize
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
 from dpend.state import NAMES, as_equilibrium, deviation
 
-from .wrapping import Wrapper, holding
+from .wrapping import Wrapper
 
 
 class Margins(NamedTuple):

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dpend.controller import Act
+from dpend.laws import holding, with_logs
 from dpend.params import Array, Params
 from dpend.plant import rates
 from dpend.rig import Rig, single_rig
@@ -14,7 +15,6 @@ from dpend.state import nearest_upright
 
 from .lqr import LQR
 from .sdre_kernels import sampled, solved
-from .wrapping import holding, with_logs
 
 _STEP = 1e-30  # of the complex step, which has no cancellation
 _ROWS = 100  # for which a thread pays
@@ -213,11 +213,12 @@ class SDRE:
         x = nearest_upright(x)
         if x.ndim != 2:
             raise ValueError(f"Expected states of shape (n, 6); got shape {x.shape}.")
-        A, B = factorize(self.rig.params, x)
-        A, B = _held(A, B, self.rig.sample_time)
-        P, found = solve_riccati(A, B, self.lqr.Q, self.lqr.R)
-        PB = P @ B
-        K = np.einsum("nij,nik->nk", PB, A) / (self.lqr.R + np.einsum("nij,nij->n", B, PB))[:, None]
+        with np.errstate(all="ignore"):  # where rates are beyond any plant's, there is no gain
+            A, B = factorize(self.rig.params, x)
+            A, B = _held(A, B, self.rig.sample_time)
+            P, found = solve_riccati(A, B, self.lqr.Q, self.lqr.R)
+            PB = P @ B
+            K = np.einsum("nij,nik->nk", PB, A) / (self.lqr.R + np.einsum("nij,nij->n", B, PB))[:, None]
         found &= np.isfinite(K).all(axis=1)
         return K, found
 

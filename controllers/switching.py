@@ -11,6 +11,7 @@ import numpy.typing as npt
 from dpend.arguments import checked_positive, is_finite
 from dpend.controller import Act, Controller, Law, as_controller, is_batched, name_of
 from dpend.deprecation import renamed_arguments
+from dpend.laws import holding, log_of, with_logs
 from dpend.params import Array
 from dpend.plant import energies
 from dpend.rig import Rig, as_rig, ideal_rig, single_rig
@@ -19,7 +20,6 @@ from dpend.state import as_equilibrium, deviation
 from dpend.stepper import Stepper
 
 from .lqr import LQR
-from .wrapping import holding, log_of, with_logs
 
 Region = Callable[[Array], npt.NDArray[np.bool_]]
 """Which states ``(n, 6)`` belong to a region, ``(n,)``."""

@@ -396,6 +396,10 @@ def violations(trajectory: Trajectory, *, track_margin: float = 0.0) -> str:
     >>> violations(shipped(rig))
     ''
     """
+    if not isinstance(trajectory, Trajectory):
+        raise TypeError(f"trajectory must be a controllers.Trajectory; got {trajectory!r}.")
+    if not is_finite(track_margin):
+        raise ValueError(f"track_margin must be finite, in m; got {track_margin!r}.")
     rig = trajectory.rig
     found = {
         "defect of a sample": trajectory.defect(),

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from rich.console import Console
 
 from dpend import archive
-from dpend.arguments import checked_array, checked_name, checked_seed, checked_whole
+from dpend.arguments import checked_array, checked_flag, checked_mapping, checked_name, checked_seed, checked_whole
 from dpend.controller import Act
 from dpend.params import Array
 from dpend.provenance import versions
@@ -226,7 +226,7 @@ def tuned_gain(
     """
     import cma  # which imports matplotlib
 
-    rig, law = single_rig(rig, "tuned_gain"), "sign" if bang_bang else "gain"
+    rig, law = single_rig(rig, "tuned_gain"), "sign" if checked_flag("bang_bang", bang_bang) else "gain"
     generations = checked_whole("evaluations", evaluations, _POPULATION) // _POPULATION
     trials, unit = _Trials(rig, law, lam, starts, seed), (LQR(rig) if begin is None else LinearLaw(begin)).K[0]
     trials.score(unit)  # so that what cannot be tried is refused before the search
@@ -284,14 +284,16 @@ def tuned_weights(
     >>> tuned_weights(rig, starts=20)  # doctest: +SKIP
     """
     rig = single_rig(rig, "tuned_weights")
-    if set(grid) != set(GRID):
-        raise ValueError(f"grid has weights for {', '.join(GRID)}; got {', '.join(grid) or 'none'}.")
-    every = np.array(list(itertools.product(*(grid[name] for name in GRID))), dtype=np.float64)
+    levels = checked_mapping("grid", grid, "a mapping of each weight to the levels it takes")
+    if set(levels) != set(GRID):
+        raise ValueError(f"grid has weights for {', '.join(GRID)}; got {', '.join(map(str, levels)) or 'none'}.")
+    axes = [checked_array(f"grid[{name!r}]", levels[name], "a list of weights").ravel() for name in GRID]
+    every = np.array(list(itertools.product(*axes)))
     trials, few = _Trials(rig, "weights", lam, starts, seed), -(-len(every) // 20)
     scores = [trials.score(weights) for weights in every]
     trials.draw(10 * starts)
     best = max(every[np.argsort(scores)[::-1][:few]], key=trials.score)
-    return trials.result(best, {"grid": {name: list(levels) for name, levels in grid.items()}})
+    return trials.result(best, {"grid": {name: each.tolist() for name, each in zip(GRID, axes, strict=True)}})
 
 
 def tuned_law(rig: Rig | str, law: str) -> TunedLaw:

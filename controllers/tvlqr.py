@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from dpend.arguments import checked_name
 from dpend.controller import Act
+from dpend.laws import holding, with_logs
 from dpend.params import Array
 from dpend.rig import Rig, as_rig
 from dpend.state import deviation
@@ -21,7 +22,6 @@ from .data import shipped
 from .lqr import LQR
 from .trajectory import Trajectory
 from .trajopt import optimize
-from .wrapping import holding, with_logs
 
 _REACH = 5  # samples by which a run may move on along the trajectory in one, and for which it may wait
 

@@ -22,6 +22,8 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from .arguments import checked_path
+
 Arrays = dict[str, npt.NDArray[Any]]
 
 _RESERVED = ("header", "checksum", "about", "format")
@@ -75,7 +77,7 @@ def write(path: str | Path, kind: str, header: Mapping[str, Any], arrays: Mappin
     TypeError, ValueError
         If an array holds Python objects, or has a name that the archive itself needs.
     """
-    path = Path(path)
+    path = checked_path("path", path)
     if not path.suffix:
         path = path.with_suffix(".npz")
     for name, array in arrays.items():
@@ -106,7 +108,7 @@ def opened(path: str | Path, kind: str) -> Iterator[tuple[dict[str, Any], Arrays
     ValueError
         If it is something else, of another kind, or damaged, or if the block stumbles over what it holds.
     """
-    content = Path(path).read_bytes()
+    content = checked_path("path", path).read_bytes()
     try:
         yield _parsed(content, kind)
     except Exception as error:

@@ -1,9 +1,11 @@
-"""Checks of what callers pass: numbers, whole ones, seeds, arrays, names out of a few."""
+"""Checks of what callers pass: numbers, flags, seeds, generators, arrays, mappings, paths, names out of a few."""
 
 from __future__ import annotations
 
+import os
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -42,6 +44,35 @@ def checked_seed(name: str, value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
         raise ValueError(f"{name} must be a whole number, at least 0; got {value!r}.")
     return int(value)
+
+
+def checked_flag(name: str, value: object) -> bool:
+    """Return a truth value, Python's or numpy's; refuse anything else, which may not mean what its truth says."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} must be True or False; got {reprlib.repr(value)}.")
+    return bool(value)
+
+
+def checked_mapping(name: str, value: object, what: str) -> dict[Any, Any]:
+    """Return a copy of a mapping, empty for None; refuse anything else by a TypeError that says what it should be."""
+    if not (value is None or isinstance(value, Mapping)):
+        raise TypeError(f"{name} must be {what}; got {reprlib.repr(value)}.")
+    return dict(value or {})
+
+
+def checked_generator(name: str, value: object) -> np.random.Generator:
+    """Return a generator of random numbers; refuse anything else, a bare seed included, by a TypeError."""
+    if not isinstance(value, np.random.Generator):
+        raise TypeError(f"{name} must be a generator, such as numpy.random.default_rng(0); got {reprlib.repr(value)}.")
+    return value
+
+
+def checked_path(name: str, value: object) -> Path:
+    """Return a path, given as text or as one; refuse anything else by a TypeError."""
+    path = os.fspath(value) if isinstance(value, str | os.PathLike) else None
+    if not isinstance(path, str):
+        raise TypeError(f"{name} must be a str or a pathlib.Path; got {reprlib.repr(value)}.")
+    return Path(path)
 
 
 def checked_name(name: str, value: object, known: Iterable[str]) -> str:

@@ -134,9 +134,11 @@ def check_learner(
 def _hold(name: str, checks: Iterable[Callable[..., None]], skip: Collection[str], *arguments: Any) -> None:
     """Go through checks and raise one error for all that fail, from the first that came from outside."""
     named = {check.__name__: check for check in checks}
+    if isinstance(skip, str) or not isinstance(skip, Collection):
+        raise TypeError(f"skip must be a list of names of checks; got {skip!r}.")
     for each in skip:
-        if each not in named:
-            raise ValueError(f"There is no check {each!r}.{suggestion(each, named)}")
+        if not (isinstance(each, str) and each in named):
+            raise ValueError(f"There is no check {each!r}.{suggestion(str(each), named)}")
     failures: dict[str, str] = {}
     cause: Exception | None = None
     for each, check in named.items():
@@ -339,7 +341,7 @@ def missing_measurements_are_survived(controller: Controller | Law, rig: Rig) ->
         after = " and stays so once all is measured again" if bad.size and bad[-1] > 5 else ""
         message = (
             f"The force is not finite where a measurement is NaN{after}. Let the last finite one of a row count: "
-            "return controllers.wrapping.holding(n, act) from start."
+            "return dpend.laws.holding(n, act) from start."
         )
         _require(not bad.size, message)
 

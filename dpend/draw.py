@@ -28,7 +28,7 @@ from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from . import archive
-from .arguments import checked_positive
+from .arguments import checked_path, checked_positive
 from .params import Array
 from .plant import PUSHES, positions
 from .rig import Rig, single_rig
@@ -55,6 +55,7 @@ _WIDTH, _LEFT, _RIGHT, _BOTTOM, _TOP = 720, 58, 22, 48, 32  # of a picture and i
 _STEPS = [1, 2, 5, 10]  # between the marks of an axis
 _SCENE, _GAP, _HEAD, _MIDDLE, _TRACE = 800, 12, 54, 30, 84  # width of a scene, and what stands one below the other, px
 _HIGHEST = 300  # room for the pendulums of a scene, px
+_MOST_FRAMES = 100_000
 _HOLD = 0.8  # s for which the last picture of a scene is held
 _WEIGHT = 9.81  # N/kg: what the arrow is measured by where the force has no limit
 
@@ -626,7 +627,7 @@ def _scene_frames(scene: Scene, step: float, fps: float) -> Iterator[Pixels]:
 
 def _film(path: str | Path, fps: float, drawn: Callable[[float], tuple[Iterator[Pixels], Pixels]]) -> Film:
     """Write what is drawn at so many pictures a second: frames, and a picture with all their colours."""
-    path = Path(path)
+    path = checked_path("path", path)
     suffix = path.suffix.lower()
     if suffix not in (".gif", ".mp4"):
         raise ValueError(f"The suffix chooses the format: expected a path ending in .gif or .mp4; got {str(path)!r}.")
@@ -650,6 +651,8 @@ def _film(path: str | Path, fps: float, drawn: Callable[[float], tuple[Iterator[
 def _frames(run: Run, picture: Picture, step: float) -> Iterator[Pixels]:
     """Draw the run every ``step`` seconds, and at its end: each time the last sample that was not in the future."""
     duration = run.t[-1] - run.t[0]
+    if duration / step > _MOST_FRAMES:
+        raise ValueError(f"The film would have more than {_MOST_FRAMES} pictures: lower fps, or raise speed.")
     times = run.t[0] + np.minimum(step * np.arange(math.ceil(duration / step - 1e-6) + 1), duration)
     for sample in (_sample_at(run, float(time)) for time in times):
         force = float(run.u[min(sample, len(run.u) - 1)]) if len(run.u) else 0.0

@@ -15,6 +15,7 @@ segments costs the solver no more than one.
 from __future__ import annotations
 
 import math
+import reprlib
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from .arguments import is_finite
+from .arguments import checked_flag, is_finite
 from .params import Array, Number, Params
 from .recording import fitted_rates
 from .rig import Rig
@@ -208,7 +209,7 @@ def identify(
     plant = params
     names = _checked_names(fit, params)
     seen = _checked_outputs(outputs)
-    if clamped:  # a cart so heavy that no link moves it
+    if checked_flag("clamped", clamped):  # a cart so heavy that no link moves it
         seen = tuple(name for name in seen if name not in ("pos", "vel"))
         params = replace(params, cart_mass=_HELD * float(params.cart_mass))
     data = _Segments.cut(runs, segment, seen, None if rig is None else rig.substeps)
@@ -278,7 +279,7 @@ class _Segments:
     def cut(cls, runs: object, seconds: float, outputs: tuple[str, ...], substeps: int | None) -> _Segments:
         """Cut runs into segments that share their first and last samples with no other."""
         records: list[Run] = []
-        for record in [runs] if isinstance(runs, Run) or not isinstance(runs, Iterable) else runs:
+        for record in [runs] if isinstance(runs, Run | np.ndarray) or not isinstance(runs, Iterable) else runs:
             if not isinstance(record, Run):
                 raise TypeError(f"runs must be dpend.Run, dpend.Runs or several Run; got {type(record).__name__}.")
             records.append(record)
@@ -600,10 +601,11 @@ def _value(params: Params, name: str) -> Number:
 
 
 def _named(argument: str, names: Sequence[str]) -> tuple[str, ...]:
-    try:
-        return (names,) if isinstance(names, str) else tuple(names)
-    except TypeError:
-        raise TypeError(f"{argument} must be one name, or several; got {names!r}.") from None
+    if isinstance(names, str):
+        return (names,)
+    if not (isinstance(names, Sequence) and all(isinstance(name, str) for name in names)):
+        raise TypeError(f"{argument} must be one name, or several; got {reprlib.repr(names)}.")
+    return tuple(names)
 
 
 def _checked_names(fit: Sequence[str], params: Params) -> tuple[str, ...]:

@@ -39,6 +39,7 @@ NOISE_WIDTH = 3.0
 """How many standard deviations below the limit a noisy force still counts as saturated."""
 
 _OF_FORCE = ("seconds", "peak_force", "effort", "variation", "switches", "saturated")
+_LINES = 10_000_000  # the most lines of a spectrum that are summed up to a cutoff
 _OF_SMOOTHNESS = ("slew", "spectral_share", "caps_sm", "std_step")
 _BLOCK = 512  # rows measured together, so that what is in work stays in the cache
 
@@ -138,6 +139,9 @@ def smoothness_metrics(
     for name, value, unit in (("lag", lag, "s"), ("cutoff", cutoff, "Hz"), ("sample_time", sample_time, "s")):
         checked_positive(name, value, unit)
     u, _, scale = _checked(u, force_limit)
+    highest = _LINES / (max(u.shape[1], 1) * sample_time)
+    if cutoff > highest:
+        raise ValueError(f"cutoff must be at most {highest:g} Hz for {u.shape[1]} samples; got {cutoff:g} Hz.")
     steps = np.isfinite(u).sum(axis=1)
     measured = {name: np.zeros(len(u)) for name in _OF_SMOOTHNESS}
     for n in np.unique(steps[steps > 0]):  # rows of one length share their lines

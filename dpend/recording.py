@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .arguments import checked_name, is_finite
+from .arguments import checked_flag, checked_mapping, checked_name, checked_path, is_finite
 from .params import Array
 from .rig import Rig, single_rig
 from .state import NAMES
@@ -57,9 +57,13 @@ def read_recording(
     if not (is_finite(tolerance) and tolerance >= 0):
         raise ValueError(f"tolerance must be a share of the sample time, at least 0; got {tolerance!r}.")
     checked_name("zero", zero, ("up", "down"))
+    for name, flag in (("relative", relative), ("clamped", clamped), ("resample", resample), ("any_size", any_size)):
+        checked_flag(name, flag)
     single_rig(rig, "A recording")
     headings = _chosen(columns) | ({"u": None, "command": None} if clamped else {})
-    table = _read_table(Path(path), headings, ("t", "th1", "th2") if clamped else ("t", "pos", "th1", "th2"))
+    table = _read_table(
+        checked_path("path", path), headings, ("t", "th1", "th2") if clamped else ("t", "pos", "th1", "th2")
+    )
     if clamped:  # nothing moves the cart, whatever was recorded of it
         table |= {"pos": np.zeros_like(table["t"]), "vel": np.zeros_like(table["t"])}
     table["t"] = _seconds(time_unit) * table["t"]
@@ -167,7 +171,7 @@ def _radians(unit: str | float | Sequence[float]) -> tuple[float, float]:
         first, second = np.broadcast_to(numbers, 2)
         if not (np.isfinite(numbers) & (numbers != 0)).all():
             raise ValueError
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         raise ValueError(
             'angle_unit must be "rad", "deg", or the radians in one unit, such as 2 * pi / 4096 for an encoder of '
             f"4096 counts a turn: a number other than 0, or one for each angle; got {unit!r}."
@@ -185,7 +189,7 @@ def _seconds(unit: str | float) -> float:
 
 def _chosen(columns: Mapping[str, str | None] | None) -> dict[str, str | None]:
     """Return the heading of each quantity; None for a force that there was not."""
-    given = dict(columns or {})
+    given = checked_mapping("columns", columns, "a mapping of quantities to headings of the table")
     for name, heading in given.items():
         if name not in COLUMNS:
             raise ValueError(f"There is no quantity {name!r} to read.{suggestion(str(name), COLUMNS)}")

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import archive
-from .arguments import checked_array, checked_whole
+from .arguments import checked_array, checked_path, checked_whole
 from .equations import make_acceleration_slopes
 from .params import Array, Number, Params, checked_number, common_length, frozen, unit_of
 from .suggest import suggestion, suggests
@@ -329,7 +329,7 @@ class Rig:
         ...     print(dpend.rig(str(rig.to_toml(f"{folder}/mine.toml"))) == rig)
         True
         """
-        path = Path(path)
+        path = checked_path("path", path)
         lines = [*_toml_lines(self._own()), "", "[params]", *_toml_lines(self.params.to_dict())]
         with archive.atomic(path) as part:
             part.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -346,8 +346,9 @@ class Rig:
         ValueError
             If it is not TOML, lacks a field, or holds one that is unknown or out of range.
         """
+        file = checked_path("path", path)
         try:
-            record = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            record = tomllib.loads(file.read_text(encoding="utf-8"))
             plant = record.get("params")
             if not isinstance(plant, dict):
                 raise ValueError("expected a table [params] with the plant's masses and lengths")

@@ -10,7 +10,7 @@ from time import perf_counter
 import numpy as np
 import numpy.typing as npt
 
-from .arguments import checked_seed, checked_whole, is_finite
+from .arguments import checked_flag, checked_seed, checked_whole, is_finite
 from .controller import Act, Controller, FunctionController, Law, LawError, as_controller, is_batched, name_of
 from .episode import UprightClock
 from .params import Array
@@ -176,7 +176,7 @@ def simulate_many(
         raise ValueError("x0 has no rows; expected at least one initial state.")
     if rig.n not in (None, len(states)):
         raise ValueError(f"The rig describes {rig.n} rows, x0 has {len(states)}; expected the same number.")
-    workers = checked_whole("workers", workers)
+    workers, record = checked_whole("workers", workers), checked_flag("record", record)
     the_task: Task = NoTask() if task is None else checked_task(task)
     samples = _samples(rig, the_task, duration)
     _check_memory(samples, len(states), record)

@@ -41,13 +41,15 @@ def checked_push(push: npt.ArrayLike, n: int) -> Array:
 def checked_forces(u: npt.ArrayLike, n: int) -> Array:
     """Return commanded forces as a new array ``(n,)``; refuse what is not one number a row."""
     try:
-        forces = np.array(u, dtype=np.float64)
+        forces = np.asarray(u)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"Expected one force per row, shape ({n},); got {u!r}.") from None
+        forces = np.asarray(None)
+    if forces.dtype.kind not in "biuf":
+        raise ValueError(f"Expected one force per row, shape ({n},); got {u!r}.")
     if forces.shape != (n,):
         column = " A law written as y @ K.T returns a column: take [:, 0]." if forces.shape == (n, 1) else ""
         raise ValueError(f"Expected one force per row, shape ({n},); got shape {forces.shape}.{column}")
-    return forces
+    return np.array(forces, dtype=np.float64)
 
 
 class _RowNoise:

@@ -12,11 +12,11 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from .arguments import checked_name, checked_positive, checked_whole, is_finite
+from .arguments import checked_generator, checked_name, checked_positive, checked_whole, is_finite
 from .deprecation import renamed_arguments, renamed_exports
 from .params import Array
-from .rig import Rig
-from .state import EQUILIBRIA, as_equilibrium
+from .rig import Rig, as_rig
+from .state import EQUILIBRIA, as_equilibrium, state_rows
 from .suggest import suggests
 
 Codes = npt.NDArray[np.uint8]
@@ -200,8 +200,19 @@ def _kernels() -> ModuleType:
     return kernels
 
 
+def _rows(x: npt.ArrayLike) -> Array:
+    """Return states as rows ``(n, 6)``; those that simulations ask about hundreds of times pass at once."""
+    if isinstance(x, np.ndarray) and x.ndim == 2 and x.shape[1] == 6 and x.dtype == np.float64:
+        return x
+    states = state_rows("x", x)
+    if states.ndim > 2:
+        raise ValueError(f"Expected states (n, 6); got shape {states.shape}.")
+    return np.atleast_2d(states)
+
+
 def _codes(x: Array, rig: Rig, limit1: float, limit2: float) -> Codes:
     """Return status codes for the ends of the track and bounds on the angles."""
+    x = _rows(x)
     codes = np.empty(len(x), dtype=np.uint8)
     _kernels().status_codes(x, rig.track_limit, limit1, limit2, codes)
     return codes
@@ -244,6 +255,7 @@ class ReportCost:
 
     def cost(self, x: Array, codes: Codes) -> Array:
         """Return the cost ``(n,)`` of arriving in states ``(n, 6)`` with those status codes."""
+        x = _rows(x)
         costs = np.empty(len(x))
         _kernels().report_costs(x, codes, self.target_angles, self.state_weights, self.failure_cost, costs)
         return costs
@@ -336,13 +348,13 @@ class Balance(ReportCost):
 
     def starts(self, rng: np.random.Generator, n: int, rig: Rig) -> Array:
         """Draw ``n`` initial states; one generator gives the same directions for every lambda."""
-        x = np.zeros((n, 6))
-        x[:, 1:3] = self.angle_spreads * rng.uniform(-1.0, 1.0, (n, 2))
+        x = np.zeros((checked_whole("n", n, least=0), 6))
+        x[:, 1:3] = self.angle_spreads * checked_generator("rng", rng).uniform(-1.0, 1.0, (n, 2))
         return x
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Return that every state counts: balancing asks for nothing but to last."""
-        return np.ones(len(x), dtype=np.bool_)
+        return np.ones(len(_rows(x)), dtype=np.bool_)
 
 
 def check_lam(lam: float) -> None:
@@ -440,9 +452,12 @@ class SwingUp(ReportCost):
 
     def starts(self, rng: np.random.Generator, n: int, rig: Rig) -> Array:
         """Draw ``n`` initial states."""
+        checked_whole("n", n, least=0)
+        checked_generator("rng", rng)
         if self.start == "anywhere":
             x = rng.normal(size=(n, 6))
-            reach = np.where(np.isfinite(rig.track_limit), 0.5 * np.asarray(rig.track_limit), 1.0)
+            track = np.asarray(as_rig(rig).track_limit)
+            reach = np.where(np.isfinite(track), 0.5 * track, 1.0)
             x[:, 0] = reach * rng.uniform(-1.0, 1.0, n)
             x[:, 1:3] = rng.uniform(-np.pi, np.pi, (n, 2))
             return x
@@ -452,6 +467,7 @@ class SwingUp(ReportCost):
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Return which states have both links within ``upright_angle`` of the target's angles."""
+        x = _rows(x)
         upright = np.empty(len(x), dtype=np.bool_)
         _kernels().rows_upright(x, self.target_angles, self.upright_angle, upright)
         return upright
@@ -481,11 +497,11 @@ class NoTask:
 
     def upright(self, x: Array) -> npt.NDArray[np.bool_]:
         """Ask nothing of the links."""
-        return np.ones(len(x), dtype=np.bool_)
+        return np.ones(len(_rows(x)), dtype=np.bool_)
 
     def cost(self, x: Array, codes: Codes) -> Array:
         """Nothing costs anything."""
-        return np.zeros(len(x))
+        return np.zeros(len(_rows(x)))
 
 
 __getattr__ = renamed_exports(__name__, {"Unending": "NoTask"}, globals())

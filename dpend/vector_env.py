@@ -353,6 +353,8 @@ def _maker(kind: type[Balance] | type[SwingUp]) -> Callable[..., CartDoublePendu
     def make(
         num_envs: int = 1, rig: Rig | str = "gustafsson2016", *, max_episode_steps: int | None = None, **options: Any
     ) -> CartDoublePendulumVectorEnv:
+        if max_episode_steps is not None:
+            checked_whole("max_episode_steps", max_episode_steps)
         if max_episode_steps is not None and options.setdefault("steps", max_episode_steps) != max_episode_steps:
             raise ValueError(
                 f"max_episode_steps and steps are one number; got {max_episode_steps!r} and {options['steps']!r}."

@@ -21,6 +21,7 @@ import numpy as np
 
 from dpend import archive
 from dpend.archive import atomic
+from dpend.arguments import checked_path
 from dpend.controller import Controller
 from dpend.metrics import force_metrics
 from dpend.params import Array
@@ -162,7 +163,7 @@ def train_deep(
     except ModuleNotFoundError as error:
         raise ImportError(INSTALL[recipe.library]) from error
     steps = _steps_within(recipe, seconds)
-    folder = None if out is None else _folder(Path(out), recipe, seed)
+    folder = None if out is None else _folder(checked_path("out", out), recipe, seed)
     learner = made_by(recipe, seed)
     curve: list[Evaluation] = []
     networks: list[Network] = []  # one an evaluation
@@ -252,7 +253,7 @@ def read_trainings(place: str | Path) -> dict[int, Training]:
     ValueError
         If it holds something else, or is damaged.
     """
-    place = Path(place)
+    place = checked_path("place", place)
     if place.is_dir():
         return {seed: read_training(folder) for seed, folder in _folders(place).items()}
     with archive.opened(place, _PACKED) as (header, arrays):

@@ -22,13 +22,13 @@ import dpend
 from controllers.ilqr import ILQRMPC
 from dpend.controller import Act
 from dpend.params import Params
-from dpend.rig import Rig, ideal_rig
+from dpend.rig import Rig, ideal_rig, single_rig
 from dpend.run import Run
 from dpend.suggest import suggests
 from dpend.tasks import SwingUp
 
 from .model_based import episodes_of, excited_rig, practise, practised
-from .policies import Saved
+from .policies import About, Saved, checked_about
 from .settings import Nonnegative, Positive, Whole, at_least, check_settings, must
 from .training import Progress, Seed, Session, Training
 
@@ -46,8 +46,8 @@ class PlannedPolicy(Saved):
 
     Parameters
     ----------
-    rig : Rig or array of one str
-        The rig it plans with, or its record as JSON.
+    rig : Rig or str
+        The rig it plans with, or the name of a preset.
     about : mapping, optional
         Where it comes from; saved with it.
 
@@ -69,9 +69,9 @@ class PlannedPolicy(Saved):
     batched = False
     name = "iLQR on an identified rig"
 
-    def __init__(self, rig: Rig | npt.NDArray[Any], *, about: Mapping[str, Any] | None = None) -> None:
-        self.rig = rig if isinstance(rig, Rig) else Rig.from_dict(json.loads(str(rig)))
-        self.about = dict(about or {})
+    def __init__(self, rig: Rig | str, *, about: About = None) -> None:
+        self.rig = single_rig(rig, "PlannedPolicy")
+        self.about = checked_about(about)
 
     @property
     def record(self) -> str:
@@ -119,7 +119,7 @@ class PlannedPolicy(Saved):
     @classmethod
     def from_arrays(cls, *, about: Mapping[str, Any], **arrays: npt.NDArray[Any]) -> PlannedPolicy:
         """Build a policy from what :meth:`rl.policies.Saved.arrays` returned."""
-        return cls(arrays["record"], about=about)
+        return cls(Rig.from_dict(json.loads(str(arrays["record"]))), about=about)
 
 
 @suggests

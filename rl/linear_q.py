@@ -20,25 +20,43 @@ from typing import Annotated
 
 import numpy as np
 
+from dpend.arguments import is_finite
 from dpend.deprecation import renamed_arguments
 from dpend.kernels import compiled, counted, inline, links_upright, report_cost, status_code, succeeded
 from dpend.params import Array
 from dpend.rig import Rig
 from dpend.simulate import simulate_many
 from dpend.suggest import suggests
-from dpend.tasks import Balance, SwingUp, check_lam
+from dpend.tasks import Balance, SwingUp
 
 from . import features
 from ._episode import Records, episode, moved, slope_features, started, value_features
 from .features import CART_FEATURES, TABLE1
 from .policies import LinearQPolicy
-from .settings import Nonnegative, Portion, Positive, Share, Whole, check_settings, numbers
+from .settings import Flag, Nonnegative, Portion, Positive, Share, Whole, check_settings, must, numbers
 from .training import Outcome, Progress, Seed, Session, Training, training_rig
 
 REPORT_FORCES = (0.0, 5.0, -5.0, 10.0, -10.0, 20.0, -20.0, 40.0, -40.0)
 """The report's action set, N."""
 
 Weights = Annotated[Sequence[float], numbers(f"{len(TABLE1)} finite numbers", len(TABLE1))]
+Forces = Annotated[
+    Sequence[float],
+    must(
+        "a list of finite numbers",
+        lambda forces: not isinstance(forces, bytes) and len(forces) > 0 and all(map(is_finite, forces)),
+    ),
+]
+Acceptance = Annotated[
+    Sequence[tuple[float, float]],
+    must(
+        "pairs (lambda, share), 0 < lambda <= pi/2, with a share within 0 and 1",
+        lambda tests: all(
+            len(test) == 2 and all(map(is_finite, test)) and 0 < test[0] <= math.pi / 2 and 0 <= test[1] <= 1
+            for test in tests
+        ),
+    ),
+]
 
 # Scales of the tuned variant, by state (pos, th1, th2, vel, om1, om2): of the value features, and of the action's.
 _VALUE_SCALES = (0.35846, 1.68729, 2.74029, 0.128418, 0.340911, 0.343562)
@@ -106,15 +124,15 @@ class LinearQLearning:
     rig: Rig = field(kw_only=False)
     task: Balance | SwingUp = Balance()  # noqa: RUF009  (frozen)
     scales: Weights = (1.0,) * len(TABLE1)
-    forces: Sequence[float] = REPORT_FORCES
+    forces: Forces = REPORT_FORCES
     alpha: Positive = 1e-4
     alpha_decay: Nonnegative = 0.0
     gamma: Portion = 0.99
     epsilon: Share = 0.01
     epsilon_decay: Nonnegative = 0.0
-    bootstrap_failure: bool = True
+    bootstrap_failure: Flag = True
     streak: Whole = 20
-    acceptance: Sequence[tuple[float, float]] = ()
+    acceptance: Acceptance = ()
     acceptance_episodes: Whole = 100
     restart_after: Whole | None = None
     max_episodes: Whole = 2000
@@ -123,6 +141,7 @@ class LinearQLearning:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rig", training_rig(self.rig, "LinearQLearning"))
+        check_settings(self)
         task = self.task
         if not isinstance(task, Balance | SwingUp):
             raise TypeError(f"task must be a dpend.Balance or a dpend.SwingUp; got {task!r}.")
@@ -133,17 +152,11 @@ class LinearQLearning:
                 )
             if self.acceptance:
                 raise ValueError("Acceptance tests are of balancing; leave acceptance empty for a swing-up.")
-        for test in self.acceptance:
-            lam, share = test
-            check_lam(lam)
-            if not 0 <= share <= 1:
-                raise ValueError(f"acceptance names pairs (lambda, share) with a share within 0 and 1; got {test!r}.")
-        forces, limit = np.asarray(self.forces, dtype=np.float64), self.rig.force_limit
-        if forces.ndim != 1 or not len(forces) or not (np.abs(forces) <= limit).all():
+        limit = self.rig.force_limit
+        if not (np.abs(np.asarray(self.forces, dtype=np.float64)) <= limit).all():
             raise ValueError(
                 f"forces must be a list of forces within the rig's limit of {limit:g} N; got {self.forces!r}."
             )
-        check_settings(self)
 
     @classmethod
     def published(cls, rig: Rig | str, *, task: Balance | None = None, cart_features: bool = True) -> LinearQLearning:

@@ -22,19 +22,20 @@ from threadpoolctl import threadpool_limits
 
 import dpend
 from controllers.ilqr import ILQRMPC
+from dpend.arguments import checked_array
 from dpend.controller import Act
 from dpend.params import Array, Params
 from dpend.rig import Rig, single_rig
 from dpend.run import Run
-from dpend.state import wrap
+from dpend.state import state_rows, wrap
 from dpend.suggest import suggests
 from dpend.tasks import SwingUp
 
 from . import joint_fit
 from .harmonic import HarmonicModel
 from .kernel_model import KernelModel, Priors, Transitions
-from .policies import Saved
-from .settings import Nonnegative, Positive, Whole, check_settings
+from .policies import About, Saved, checked_about
+from .settings import Flag, Nonnegative, Positive, Whole, check_settings
 from .training import Outcome, Progress, Seed, Session, Training
 
 _STREAM = 2011  # sets learning apart from starts drawn with the same seed
@@ -86,19 +87,19 @@ class ModelPolicy(Saved):
 
     def __init__(
         self, model: Any, *, sample_time: float, force_limit: float, track_limit: float,
-        about: Mapping[str, Any] | None = None,
+        about: About = None,
     ) -> None:  # fmt: skip
-        self.model, self.about = model, dict(about or {})
-        self.sample_time, self.force_limit = float(sample_time), float(force_limit)
-        self.track_limit = float(track_limit)
+        if not isinstance(model, HarmonicModel | KernelModel):
+            raise TypeError(f"model must be a HarmonicModel or a KernelModel of rl; got {model!r}.")
+        self.model, self.about = model, checked_about(about)
+        nothing = Params(cart_mass=1, mass1=1, mass2=1, length1=1, length2=1)  # which a plan on a model does not read
+        self._rig = Rig(params=nothing, sample_time=sample_time, force_limit=force_limit, track_limit=track_limit)
+        self.sample_time, self.force_limit, self.track_limit = sample_time, force_limit, track_limit
 
     @cached_property
     def planner(self) -> ILQRMPC:
         """The controller."""
-        nothing = Params(cart_mass=1, mass1=1, mass2=1, length1=1, length2=1)  # which a plan on a model does not read
-        rig = Rig(params=nothing, sample_time=self.sample_time, force_limit=self.force_limit,
-                  track_limit=self.track_limit)  # fmt: skip
-        return ILQRMPC(rig, model=self.model.model, starts=8)
+        return ILQRMPC(self._rig, model=self.model.model, starts=8)
 
     def attributed(self, about: Mapping[str, Any] | None) -> ModelPolicy:
         """Return the same policy with a provenance.
@@ -158,7 +159,8 @@ class ModelPolicy(Saved):
         >>> policy = ModelBased("pilco2011").train(seed=0).policy  # doctest: +SKIP
         >>> policy.uncertainty([[0, 0, 0, 0, 0, 0]], [0.0])  # doctest: +SKIP
         """
-        return self.model.uncertainty(np.atleast_2d(np.asarray(x, float)), np.atleast_1d(np.asarray(u, float)))
+        forces = np.atleast_1d(checked_array("u", u, "forces (N,)"))
+        return self.model.uncertainty(np.atleast_2d(state_rows("x", x)), forces)
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return what is saved, by name.
@@ -400,12 +402,12 @@ class ModelBased:
     """
 
     rig: Rig = field(kw_only=False)
-    angles: bool = True
-    second_order: bool = True
-    cart_invariance: bool = True
-    mirror: bool = True
-    structure: bool = True
-    gravity: bool = True
+    angles: Flag = True
+    second_order: Flag = True
+    cart_invariance: Flag = True
+    mirror: Flag = True
+    structure: Flag = True
+    gravity: Flag = True
     episode_seconds: Positive = 5.0
     angle_spread: Nonnegative = 0.1
     episodes: Whole = 12

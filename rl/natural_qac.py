@@ -27,7 +27,7 @@ from . import features
 from ._episode import episode, rollout
 from .features import quadratic_features, quadratic_form
 from .policies import GainPolicy
-from .settings import Angle, Portion, Positive, Scales, Whole, at_least, check_settings, must, numbers
+from .settings import Angle, Flag, Portion, Positive, Scales, Whole, at_least, check_settings, must, numbers
 from .training import Outcome, Progress, Seed, Session, Training, training_rig
 
 _STREAM = 1968  # that of Algorithm 2, of which this is a variant
@@ -114,15 +114,15 @@ class NaturalQAC:
     scales: Scales = (0.5, 0.1, 0.1, 1.0, 0.5, 0.5, 40.0)
     critic: Annotated[str, partial(checked_name, known=("quadratic", "table 1"))] = "quadratic"
     state_costs: StateCosts | None = (1.0, 1.0, 1.0, 0.1, 0.1, 0.1)
-    least_squares: bool = True
+    least_squares: Flag = True
     replay: Annotated[int, at_least(0)] = 1200
-    closed_form: bool = True
-    natural: bool = True
+    closed_form: Flag = True
+    natural: Flag = True
     norm_cap: Annotated[float, must("greater than 0", lambda cap: cap > 0)] = 0.218
     gamma_start: Portion = 0.4
     gamma_updates: Positive = 26.6
     angle_cut: Angle | None = 0.254
-    bootstrap: bool = True
+    bootstrap: Flag = True
     episodes_per_update: Whole = 2
     relax_from: Annotated[int, at_least(0)] = 80
     relax_to: Whole = 160

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dpend import archive
-from dpend.arguments import checked_positive
+from dpend.arguments import checked_array, checked_mapping, checked_path, checked_positive
 from dpend.controller import Act
+from dpend.laws import holding
 from dpend.params import Array
 from dpend.shaping import observe
-from dpend.state import nearest_upright, wrap
+from dpend.state import nearest_upright
 from dpend.suggest import suggestion
 
 from .features import TABLE1, make_value_features, slope_features
@@ -100,7 +101,7 @@ class LinearQPolicy(Saved):
     name = "linear Q-learning"
 
     def __init__(self, weights: ArrayLike, scales: ArrayLike, forces: ArrayLike, *, about: About = None) -> None:
-        self.about = dict(about or {})
+        self.about = checked_about(about)
         self.weights = _vector("weights", weights, len(TABLE1))
         self.scales = _vector("scales", scales, len(TABLE1))
         self.forces = _vector("forces", forces, None)
@@ -111,10 +112,11 @@ class LinearQPolicy(Saved):
         slope_weights /= np.abs(slope_weights).max() or 1.0  # only the direction counts, and weights may be huge
         forces = self.forces
 
-        def greedy(slope: Array) -> Array:
-            return np.where(np.isnan(slope), np.nan, forces[np.argmax(slope[:, None] * forces, axis=1)])
+        def greedy(_: float, y: Array) -> Array:
+            slope = slope_weights @ np.stack(slope_features(y.T))
+            return forces[np.argmax(slope[:, None] * forces, axis=1)]
 
-        return lambda t, y: greedy(slope_weights @ np.stack(slope_features(y.T)))
+        return holding(n, greedy)
 
 
 class GainPolicy(Saved):
@@ -148,7 +150,7 @@ class GainPolicy(Saved):
     name = "learned gain"
 
     def __init__(self, K: ArrayLike, *, about: About = None) -> None:
-        self.about = dict(about or {})
+        self.about = checked_about(about)
         self.K = _vector("K", K, 6)
 
     def __repr__(self) -> str:
@@ -158,7 +160,7 @@ class GainPolicy(Saved):
         """Return the law for ``n`` runs."""
         K = self.K
         # A matrix product would round a row differently in batches of different size.
-        return lambda t, y: -np.einsum("ij,j->i", nearest_upright(y), K)
+        return holding(n, lambda t, y: -np.einsum("ij,j->i", nearest_upright(y), K))
 
 
 INDICATORS: Mapping[str, int] = MappingProxyType({"none": 0, "signs": 3, "cells": 8})
@@ -197,7 +199,7 @@ class TableOneMean(Saved):
     name = "mean of Gaussian QAC"
 
     def __init__(self, v: ArrayLike, indicators: str | NDArray[Any], *, about: About = None) -> None:
-        self.about = dict(about or {})
+        self.about = checked_about(about)
         self.indicators = str(indicators)
         one_of(INDICATORS)("indicators", self.indicators)
         self.v = _vector("v", v, 12 + INDICATORS[self.indicators])
@@ -205,10 +207,15 @@ class TableOneMean(Saved):
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
         value_features, v = make_value_features(), self.v
-        return lambda t, y: np.einsum("i,ij->j", v, np.stack([*value_features(y.T), *self._indicated(y)]))
 
-    def _indicated(self, y: Array) -> list[Array]:
-        positive = [y[:, 0] > 0, wrap(y[:, 1]) > 0, wrap(y[:, 2]) > 0]
+        def mean(_: float, y: Array) -> Array:
+            x = nearest_upright(y)
+            return np.einsum("i,ij->j", v, np.stack([*value_features(x.T), *self._indicated(x)]))
+
+        return holding(n, mean)
+
+    def _indicated(self, x: Array) -> list[Array]:
+        positive = [x[:, 0] > 0, x[:, 1] > 0, x[:, 2] > 0]
         if self.indicators == "signs":
             return [sign.astype(np.float64) for sign in positive]
         cell = 4 * positive[0] + 2 * positive[1] + positive[2]
@@ -263,9 +270,15 @@ class Network(Saved):
     def __init__(
         self, weights: Arrays, biases: Arrays, *, activation: str = "tanh", squash: str = "clip", about: About = None
     ) -> None:
+        for name, layers in (("weights", weights), ("biases", biases)):
+            if not isinstance(layers, list | tuple):
+                raise TypeError(f"{name} must be a list of arrays, one a layer; got {layers!r}.")
         if not len(weights) or len(weights) != len(biases):
             raise ValueError(f"Expected as many biases as weights, at least one; got {len(biases)} and {len(weights)}.")
-        self.weights = tuple(np.array(weight, dtype=np.float64) for weight in weights)
+        self.weights = tuple(
+            checked_array(f"weight {i}", weight, "a matrix of an output's rows", finite=False).copy()
+            for i, weight in enumerate(weights)
+        )
         self.biases = tuple(_vector(f"bias {i}", bias, None) for i, bias in enumerate(biases))
         width = self.weights[0].shape[-1] if self.weights[0].ndim else 0
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -278,7 +291,7 @@ class Network(Saved):
         one_of(_ACTIVATIONS)("activation", activation)
         one_of(_SQUASHES)("squash", squash)
         self.activation, self.squash = activation, squash
-        self.about = dict(about or {})
+        self.about = checked_about(about)
 
     @property
     def inputs(self) -> int:
@@ -295,6 +308,10 @@ class Network(Saved):
 
     def __call__(self, observations: Array) -> Array:
         """Return actions ``(n, outputs)``, within -1 and 1, for observations ``(n, inputs)``."""
+        if not (isinstance(observations, np.ndarray) and observations.dtype.kind == "f" and observations.ndim == 2):
+            observations = checked_array("observations", observations, f"an array (n, {self.inputs})", finite=False)
+        if observations.shape[1:] != (self.inputs,):
+            raise ValueError(f"observations must have shape (n, {self.inputs}); got {observations.shape}.")
         actions = np.empty((len(observations), self.outputs))
         rows = max(_SMALL_PRODUCT // max(weight.size for weight in self.weights), 1)
         for start in range(0, len(observations), rows):
@@ -383,7 +400,9 @@ class MLPPolicy(Saved):
     def __init__(
         self, network: Network, *, scales: ArrayLike, force_limit: float, period: float, about: About = None
     ) -> None:
-        self.about = dict(network.about if about is None else about)
+        if not isinstance(network, Network):
+            raise TypeError(f"network must be an rl.Network; got {network!r}.")
+        self.about = checked_about(network.about if about is None else about)
         self.network = network
         self.scales = _vector("scales", scales, 4)
         for scale in self.scales.tolist():
@@ -411,11 +430,11 @@ class MLPPolicy(Saved):
             nonlocal last, due
             if t > due:
                 action = network(observe(y, scales, last if recalls else None))[:, 0]
-                last = np.where(np.isfinite(action), action, last)  # a missing measurement must not be recalled
+                last = np.where(np.isfinite(action), action, last)  # what overflows must not be recalled
                 due = t + period * (1 - 1e-6)
             return force_limit * last
 
-        return act
+        return holding(n, act)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what is saved, by name.
@@ -483,7 +502,7 @@ def load_policy(policy: str | Path) -> Policy:
     >>> dpend.simulate(rig, load_policy("lspi"), [0, 0.1, -0.1, 0, 0, 0], duration=2.0).success
     True
     """
-    path = Path(policy)
+    path = checked_path("policy", policy)
     if isinstance(policy, str) and path.name == policy and not path.suffix and not path.exists():
         path = _TRAINED / f"{policy}.npz"
         if not path.exists():
@@ -501,6 +520,11 @@ def made_policy(kind: str, about: Mapping[str, Any], arrays: Mapping[str, NDArra
     return kinds[kind].from_arrays(about=about, **arrays)
 
 
+def checked_about(about: About) -> dict[str, Any]:
+    """Return a copy of a provenance; refuse what is no mapping."""
+    return checked_mapping("about", about, "a mapping of where a policy comes from")
+
+
 def _shortest(array: Array) -> NDArray[np.floating[Any]]:
     """Return an array in single precision where that loses nothing, as of what was learned in it."""
     single = array.astype(np.float32)
@@ -508,7 +532,7 @@ def _shortest(array: Array) -> NDArray[np.floating[Any]]:
 
 
 def _vector(name: str, value: ArrayLike, length: int | None) -> Array:
-    vector = np.array(value, dtype=np.float64)
+    vector = checked_array(name, value, "a list of numbers", finite=False).copy()
     if vector.ndim != 1 or not len(vector) or (length is not None and len(vector) != length):
         wanted = "(m,)" if length is None else f"({length},)"
         raise ValueError(f"{name} must have shape {wanted}; got {vector.shape}.")

@@ -23,7 +23,20 @@ from dpend.suggest import suggests
 from dpend.tasks import Balance, SwingUp
 from dpend.vector_env import CartDoublePendulumVectorEnv
 
-from .settings import Angle, Nonnegative, Portion, Positive, Share, Whole, check_settings, known, must, numbers
+from .settings import (
+    Angle,
+    Flag,
+    Nonnegative,
+    Portion,
+    Positive,
+    Share,
+    Whole,
+    check_settings,
+    instance_of,
+    known,
+    must,
+    numbers,
+)
 
 Value = TypeVar("Value")
 if TYPE_CHECKING:
@@ -94,9 +107,9 @@ class OffPolicySettings:
     the DDPG paper does."""
     library: Annotated[Literal["torch", "jax"], known(NEEDED)] = "torch"
     """What computes: Stable-Baselines3 in torch, or its sibling SBX in JAX, the same algorithms compiled."""
-    layer_norm: bool = True
+    layer_norm: Flag = True
     """Whether the critics normalise their layers."""
-    mirror: bool = False
+    mirror: Flag = False
     """Whether to learn from transitions and their mirror images, each half the time; plant and reward know no side."""
 
     def __post_init__(self) -> None:
@@ -187,7 +200,7 @@ class DeepRecipe:
     rig: Rig = field(default_factory=lambda: dpend.rig("gustafsson2016"), kw_only=False)
     algo: Annotated[Literal["ppo", "ddpg", "td3", "sac"], known(DEFAULTS)] = "ppo"
     task: Annotated[Literal["swing-up", "balance"], known(("swing-up", "balance"))] = "swing-up"
-    env: str | None = None
+    env: Annotated[str, instance_of(str)] | None = None
     starts: Annotated[Literal["mixed", "rest"], known(("mixed", "rest"))] = "mixed"
     near: Angle = 0.1
     steps: Filled[Whole] = _DEFAULT
@@ -198,15 +211,15 @@ class DeepRecipe:
     updates: Filled[Positive] = _DEFAULT
     gamma: Annotated[float, must("between 0 and 1", lambda gamma: 0 < gamma < 1)] = 0.99
     noise: Filled[Nonnegative] = _DEFAULT
-    period: Filled[float] = _DEFAULT
+    period: Filled[Positive] = _DEFAULT
     episode: Filled[Positive] = _DEFAULT
     action_rate: Nonnegative = 0.0
     sensor_noise: Nonnegative | None = None
     evaluate_every: Filled[Whole] = _DEFAULT
     evaluation_starts: Whole = 400
     enough: Share | None = None
-    ppo: PPOSettings = PPOSettings()
-    off_policy: OffPolicySettings = OffPolicySettings()
+    ppo: Annotated[PPOSettings, instance_of(PPOSettings)] = PPOSettings()
+    off_policy: Annotated[OffPolicySettings, instance_of(OffPolicySettings)] = OffPolicySettings()
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -11,7 +11,7 @@ from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
-from dpend.arguments import checked_positive, checked_whole, is_finite
+from dpend.arguments import checked_flag, checked_positive, checked_whole, is_finite
 from dpend.suggest import suggestion
 
 Rule = Callable[[str, Any], object]
@@ -23,8 +23,8 @@ def must(be: str, good: Callable[[Any], bool]) -> Rule:
 
     def checked(name: str, value: Any) -> None:
         try:
-            passed = good(value)
-        except TypeError:
+            passed = bool(good(value))
+        except (TypeError, ValueError, OverflowError):
             passed = False
         if not passed:
             raise ValueError(f"{name} must be {be}; got {value!r}.")
@@ -46,7 +46,7 @@ def known(names: Iterable[str]) -> Rule:
     """Return the rule that a setting must name one of what there is; an error suggests the nearest."""
 
     def checked(name: str, value: Any) -> None:
-        if value not in names:
+        if not (isinstance(value, str) and value in names):
             raise ValueError(f"There is no {name} {value!r}.{suggestion(str(value), names)}")
 
     return checked
@@ -57,6 +57,12 @@ def numbers(be: str, n: int, good: Callable[[float], bool] = math.isfinite) -> R
     return must(be, lambda values: len(values) == n and all(is_finite(value) and good(value) for value in values))
 
 
+def instance_of(kind: type) -> Rule:
+    """Return the rule that a setting must be an object of some class."""
+    return must(f"of class {kind.__name__}", lambda value: isinstance(value, kind))
+
+
+Flag = Annotated[bool, checked_flag]
 Whole = Annotated[int, checked_whole]
 Positive = Annotated[float, checked_positive]
 Nonnegative = Annotated[float, must("finite and at least 0", lambda value: is_finite(value) and value >= 0)]

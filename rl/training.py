@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from dpend.arguments import checked_whole, is_finite
+from dpend.arguments import checked_seed, checked_whole, is_finite
 from dpend.controller import Controller
 from dpend.params import Array
 from dpend.provenance import versions
@@ -309,6 +309,12 @@ def samples_within(seconds: float | None, sample_time: float) -> int:
     return int(seconds / sample_time + 1e-9)
 
 
+def _checked_seed(seed: Seed) -> int | list[int]:
+    if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes):
+        return [checked_seed("seed", each) for each in seed]
+    return checked_seed("seed", seed)
+
+
 class Session:
     """A training under way: its random numbers, its budget and clock, and the result that it comes to.
 
@@ -316,13 +322,16 @@ class Session:
     """
 
     def __init__(self, learner: Learner, seed: Seed, seconds: float | None, progress: Progress, stream: int) -> None:
-        self._learner, self._seed, self._progress = learner, seed, progress
+        self._seed = _checked_seed(seed)
+        if not (progress is None or callable(progress)):
+            raise TypeError(f"progress must be None or take the share that is done, 0 to 1; got {progress!r}.")
+        self._learner, self._progress = learner, progress
         self._began = time.process_time()
         self.budget = samples_within(seconds, learner.rig.sample_time)
         """The most samples of experience."""
         self.spent = 0
         """Samples of experience so far, tests included."""
-        self.rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))
+        self.rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(stream,)))
 
     @property
     def left(self) -> int:
@@ -352,7 +361,7 @@ class Session:
         sample_time, tested = self._learner.rig.sample_time, curve.get("tested", np.zeros(len(curve["length"]), int))
         about = {
             "learner": repr(self._learner),
-            "seed": self._seed if isinstance(self._seed, int) else list(self._seed),
+            "seed": self._seed,
             "outcome": outcome.name,
             "versions": versions(),
         }

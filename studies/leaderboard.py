@@ -207,10 +207,13 @@ def _steps(job: Job, contender: Contender) -> Values:
 def _step(rig: Rig, controller: dpend.Controller, x0: Array, task: Balance | SwingUp) -> float:
     """Return the time of a step by the number of rows: the median of means over ten steps, the first ten left out.
 
-    Some hold their force for several steps, and planners begin from nothing.
+    Some hold their force for several steps, and planners begin from nothing.  Of a run that soon ends, all steps count.
     """
     steps = dpend.simulate_many(rig, controller, x0, task=task).step_time[0]
-    return float(np.nanmedian(steps[10 : len(steps) // 10 * 10].reshape(-1, 10).mean(axis=1)))
+    steps = steps[np.isfinite(steps)]
+    if len(steps) < 20:
+        return float(np.median(steps))
+    return float(np.median(steps[10 : len(steps) // 10 * 10].reshape(-1, 10).mean(axis=1)))
 
 
 def _ready(job: Job, contender: Contender) -> Values:

@@ -144,7 +144,7 @@ def inside(name: str) -> set[str]:
 @pytest.mark.parametrize(
     ("name", "allowed"),
     [
-        ("archive", set()),
+        ("archive", {"arguments"}),
         ("arguments", set()),
         ("state", {"arguments", "params", "suggest"}),
         ("episode", {"status"}),
@@ -156,6 +156,7 @@ def inside(name: str) -> set[str]:
         ("tasks", {"arguments", "deprecation", "kernels", "params", "rig", "state", "suggest"}),
         ("stepper", {"arguments", "kernels", "params", "rig", "state"}),
         ("controller", {"params"}),
+        ("laws", {"controller", "params"}),
         ("workers", {"arguments"}),
         ("check", {"arguments", "controller", "params", "rig", "simulate", "stepper", "suggest", "tasks"}),
     ],

@@ -56,7 +56,7 @@ def test_kernels_are_not_kept_where_others_may_write_and_it_is_said(folder: Path
     own.chmod(0o770)
     message = (
         f"Compiled code is not kept in {own}: others than you may write to it, and so could have you run their code. "
-        "Delete it, or let DPEND_CACHE or NUMBA_CACHE_DIR name a folder of yours."
+        "Let DPEND_CACHE or NUMBA_CACHE_DIR name a folder of yours."
     )
     with pytest.raises(NotPrivate, match=whole(message)):
         private_folder(own)
@@ -64,3 +64,18 @@ def test_kernels_are_not_kept_where_others_may_write_and_it_is_said(folder: Path
         kernel = compiled(doubled)
     assert kernel(1.5) == 3.0
     assert not list(folder.rglob("*.nb?"))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no owners and modes")
+@pytest.mark.parametrize(("mode", "open_to_others"), [(0o777, True), (0o1777, False), (0o755, False)])
+def test_a_folder_is_no_more_private_than_those_above_it(folder: Path, mode: int, open_to_others: bool) -> None:
+    above = folder / "shared"
+    above.mkdir()
+    above.chmod(mode)
+    if open_to_others:
+        with pytest.raises(
+            NotPrivate, match=f"is not kept in {above / 'own'}: others than you may write to {above}, and"
+        ):
+            private_folder(above / "own")
+    else:
+        assert private_folder(above / "own").is_dir()

@@ -129,7 +129,7 @@ def test_for_the_swing_up_a_force_is_held_for_two_samples_and_for_one_while_bala
         ({"sensor_noise": -0.1}, "sensor_noise must be finite and at least 0; got -0.1."),
         (off_policy(first_actions=0.1), "first_actions is for DDPG, TD3 and SAC; got algo 'ppo'. Use noise."),
         ({"episode": 0.0}, "episode must be finite and greater than 0; got 0.0."),
-        ({"period": 0.0}, "period must be a whole number of samples of 0.02 s; got 0 s."),
+        ({"period": 0.0}, "period must be finite and greater than 0; got 0.0."),
         ({"steps": 0}, "steps must be a whole number, at least 1; got 0."),
         ({"noise": 0.0}, "noise must be finite and greater than 0; got 0.0."),
         ({"learning_rate": (0.0, 0.0)}, "learning_rate must be two numbers above 0; got (0.0, 0.0)."),

@@ -3,6 +3,7 @@
 import datetime
 import time
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from controllers import (
     Ellipsoid,
     EnergyPump,
     EnergySwingUp,
+    LinearLaw,
     LowPass,
     NearEnergy,
     Predictor,
@@ -39,8 +41,30 @@ from controllers import (
     Zero,
     ilqr,
     optimize,
+    shipped,
+    tuned_gain,
+    tuned_law,
+    tuned_weights,
+    violations,
 )
 from dpend.state import as_equilibrium, as_states, deviation
+from rl import (
+    LSPI,
+    DeepRecipe,
+    GainPolicy,
+    GaussianQAC,
+    IdentifyAndPlan,
+    LinearQLearning,
+    LinearQPolicy,
+    MLPPolicy,
+    ModelBased,
+    ModelPolicy,
+    NaturalQAC,
+    Network,
+    PlannedPolicy,
+    QuadraticQLearning,
+    TableOneMean,
+)
 
 RIG = dpend.rig("gustafsson2016")
 PLANT = RIG.params
@@ -48,6 +72,14 @@ REST = np.zeros(6)
 LEANING = np.array([0.0, 0.05, -0.05, 0.0, 0.0, 0.0])
 QUICK: dict[str, Any] = {"iterations": 1, "starts": 0}
 AVERSE: Any = {"starts": -1}  # refused after the others, before anything is planned
+RUN = dpend.simulate(RIG.replace(sensor_noise=0.01), LQR(RIG), LEANING, 1.0)
+PLAN = Trajectory(rig=RIG, x=np.zeros((9, 6)), u=np.zeros(8), target=REST)
+LEARNERS: tuple[Any, ...] = (
+    LSPI, QuadraticQLearning, GaussianQAC, NaturalQAC, LinearQLearning, ModelBased, IdentifyAndPlan, DeepRecipe,
+)  # fmt: skip
+NETWORK = Network([np.ones((1, 8))], [np.zeros(1)])
+OF_NETWORK: dict[str, Any] = {"scales": np.ones(4), "force_limit": 40.0, "period": 0.04}
+CLOCK: dict[str, Any] = {"sample_time": 0.02, "force_limit": 40.0, "track_limit": 2.4}
 
 Call = Callable[[Any], object]
 SURFACES: dict[str, list[Call]] = {
@@ -108,6 +140,13 @@ SURFACES: dict[str, list[Call]] = {
         lambda v: dpend.Stepper(RIG, 1).reset(v),
         lambda v: dpend.Stepper(RIG, 1).step(v),
         lambda v: dpend.Stepper(RIG, 1).step([0.0], v),
+        lambda v: RUN.smoothness(lag=v),
+        lambda v: RUN.smoothness(cutoff=v),
+        lambda v: dpend.identify(v, RIG, ["mass1"]),
+        lambda v: dpend.identify(RUN, v, ["mass1"]),
+        lambda v: dpend.identify(RUN, RIG, v),
+        lambda v: dpend.identify(RUN, RIG, ["mass1"], outputs=v),
+        lambda v: dpend.check_controller(Zero(), v, skip=[v]),
     ],
     "regulators": [
         lambda v: LQR(RIG, v),
@@ -126,6 +165,12 @@ SURFACES: dict[str, list[Call]] = {
         lambda v: RateLimit(RIG, Zero(), v),
         lambda v: EnergySwingUp(RIG, k_x=v),
         lambda v: EnergyPump(RIG, perturbation=v),
+        lambda v: LinearLaw(v),
+        lambda v: LinearLaw(np.ones(6), target=v),
+        lambda v: tuned_law(v, "gain"),
+        lambda v: tuned_law(RIG, v),
+        *(lambda v, name=name: tuned_gain(RIG, **{"evaluations": 0, name: v}) for name in ("bang_bang", "begin")),
+        lambda v: tuned_weights(RIG, grid=v),
     ],
     "planners": [
         lambda v: ilqr(RIG, v, **QUICK),
@@ -133,7 +178,10 @@ SURFACES: dict[str, list[Call]] = {
             lambda v, name=name: ilqr(RIG, LEANING, **QUICK, **{name: v})
             for name in ("target", "horizon", "u_guess", "x_guess", "Q", "R", "tolerance", "seed")
         ),
-        *(lambda v, name=name: ILQRMPC(RIG, **{name: v}) for name in ("target", "Q", "R", "horizon", "starts")),
+        *(
+            lambda v, name=name: ILQRMPC(RIG, **{name: v})
+            for name in ("target", "Q", "R", "horizon", "starts", "model", "explore")
+        ),
         *(
             lambda v, name=name: NMPC(RIG, **{name: v})
             for name in ("target", "cost", "horizon", "Q", "R", "rate_weight", "margin", "max_iterations", "solver")
@@ -144,6 +192,10 @@ SURFACES: dict[str, list[Call]] = {
         ),
         lambda v: Trajectory(rig=RIG, x=v, u=np.zeros(8), target=REST),
         lambda v: Trajectory(rig=RIG, x=np.zeros((9, 6)), u=v, target=REST),
+        lambda v: violations(v),
+        lambda v: violations(PLAN, track_margin=v),
+        lambda v: shipped(v),
+        *(lambda v, name=name: shipped(RIG, **{name: v}) for name in ("start", "target", "objective")),
     ],
     "estimators": [
         lambda v: EKF(v),
@@ -177,6 +229,42 @@ SURFACES: dict[str, list[Call]] = {
             lambda v, name=name: dpend.SwingUp(**{name: v})
             for name in ("start", "target", "angle_spread", "hold", "upright_angle")
         ),
+        lambda v: dpend.Balance().starts(v, 2, RIG),
+        lambda v: dpend.SwingUp().starts(v, 2, RIG),
+        lambda v: dpend.SwingUp(start="anywhere").starts(np.random.default_rng(0), 2, v),
+        lambda v: dpend.Balance().ended(v, RIG),
+        lambda v: dpend.Balance().cost(v, np.zeros(6, np.uint8)),
+        lambda v: dpend.SwingUp().upright(v),
+    ],
+    "learners": [
+        *(lambda v, learner=each: learner(v) for each in LEARNERS),
+        *(
+            lambda v, learner=each, name=field.name: learner(RIG, **{name: v})
+            for each in LEARNERS
+            for field in fields(each)
+            if field.name != "rig"
+        ),
+        lambda v: LSPI(RIG).train(v, seconds=0.02),
+        lambda v: LSPI(RIG).train(0, seconds=0.02, progress=v),
+    ],
+    "policies": [
+        *(lambda v, kind=kind: kind(v) for kind in (GainPolicy, PlannedPolicy)),
+        lambda v: GainPolicy(REST, about=v),
+        lambda v: LinearQPolicy(v, np.ones(18), [0, 1]),
+        lambda v: LinearQPolicy(np.ones(18), v, [0, 1]),
+        lambda v: LinearQPolicy(np.ones(18), np.ones(18), v),
+        lambda v: TableOneMean(v, "none"),
+        lambda v: TableOneMean(np.ones(12), v),
+        lambda v: MLPPolicy(v, **OF_NETWORK),
+        *(lambda v, name=name: MLPPolicy(NETWORK, **(OF_NETWORK | {name: v})) for name in OF_NETWORK),
+        lambda v: ModelPolicy(v, **CLOCK),
+        lambda v: Network(v, [np.zeros(1)]),
+        lambda v: Network([np.ones((1, 8))], v),
+        *(
+            lambda v, name=name: Network([np.ones((1, 8))], [np.zeros(1)], **{name: v})
+            for name in ("activation", "squash")
+        ),
+        lambda v: NETWORK(v),
     ],
     "environments": [
         lambda v: dpend.env.CartDoublePendulumEnv(v, RIG),
@@ -232,6 +320,9 @@ def _compiled() -> None:
     ilqr(RIG, LEANING, **QUICK, tolerance=0)
     ILQRMPC(RIG)
     NMPC(RIG)
+    LSPI(RIG).train(0, seconds=0.02)
+    with pytest.raises(ValueError, match="evaluations"):
+        tuned_gain(RIG, evaluations=0)
 
 
 @pytest.mark.parametrize("surface", SURFACES)

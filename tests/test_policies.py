@@ -5,11 +5,13 @@ import os
 import re
 import time
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import dpend
+import rl
 from dpend.archive import _checksum
 from dpend.shaping import observe
 from rl import LinearQPolicy, MLPPolicy, Network, TableOneMean, load_policy
@@ -93,10 +95,24 @@ def test_after_a_missing_measurement_a_policy_acts_as_if_nothing_had_happened(ki
     assert np.isfinite(act(0.2, y)).all()
 
 
-def test_a_policy_that_misses_a_measurement_has_no_force_of_its_own():
-    y = np.full((1, 6), np.nan)
-    for kind in ("linear Q", "table 1 mean"):
-        assert np.isnan(SAVED[kind].start(1, np.random.default_rng(0))(0.0, y)).all()
+@pytest.mark.parametrize("kind", LAWS)
+def test_a_policy_has_no_force_before_its_first_measurement_and_that_of_the_last_where_one_is_missing(kind):
+    act = LAWS[kind].start(1, np.random.default_rng(0))
+    missing = np.full((1, 6), np.nan)
+    assert act(0.0, missing) == 0
+    known = act(0.1, states(1))
+    assert known != 0
+    assert act(0.2, missing) == pytest.approx(known) or kind == "recalling"
+
+
+@pytest.mark.parametrize(
+    "file", sorted((Path(rl.__file__).parent / "trained").glob("*.npz")), ids=lambda file: file.stem
+)
+def test_a_shipped_policy_keeps_the_contract_of_controllers(file):
+    law = load_policy(file.stem)
+    assert not isinstance(law, Network)
+    skip = ["whole_turns_change_nothing"] if isinstance(law, LinearQPolicy) else []  # Table 1 has angles as they are
+    dpend.check_controller(law, RIG, skip=skip)
 
 
 @pytest.mark.parametrize("kind", SAVED)

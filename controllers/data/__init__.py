@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
+from dpend.arguments import checked_name
 from dpend.rig import Rig, as_rig
 from dpend.tasks import SwingUp
 
@@ -66,8 +67,7 @@ def shipped(
     """
     rig = as_rig(rig)
     SwingUp(start=start, target=target)  # refuses what is neither
-    if objective not in ("effort", "time"):
-        raise ValueError(f'objective must be "effort" or "time"; got {objective!r}.')
+    checked_name("objective", objective, ("effort", "time"))
     if rig.n is not None:
         return None
     for path in sorted(FOLDER.glob(file_name("*", start, target, objective))):

@@ -19,8 +19,8 @@ import numpy as np
 from controllers import NMPC
 from controllers.nmpc import _GAP, _bounds, _greatest_force, _stage, _stopping_speed
 from controllers.shooting import Program, multiple_shooting
-from controllers.wrapping import holding
 from dpend.controller import Act
+from dpend.laws import holding
 from dpend.params import Array
 from dpend.rig import Rig
 from dpend.symbolic import sample_function
