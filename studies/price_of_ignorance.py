@@ -10,9 +10,10 @@ PPO and DDPG are those of ``docs/results/deep_swing_up``; PILCO's mark is the ex
 published in 2011.
 
 Finding: knowing the structure of the equations, their mirror symmetry and what gravity does when all is turned round,
-ten of ten seeds on pilco2011 swing up after 15 s of experience (median [10, 15], 4.3 s of a core), and 90 % of fresh
-starts after 15 s (10 to 20 s); of their later episodes 2 failed.  PILCO took 100 to 150 s.  From ``--rig pilco2011
---only "structure, mirror, gravity"``, kept in docs/results/price_of_ignorance; the other rows have not been run.
+ten of ten seeds on pilco2011 swing up after 15 s of experience (median [10, 15], 7.7 s of a busy core), and 90 % of
+fresh starts after 15 s (10 to 20 s); of their later episodes 1 failed.  PILCO took 100 to 150 s.  From
+``--rig pilco2011 --only "structure, mirror, gravity"``, kept in docs/results/price_of_ignorance; the other rows have
+not been run.
 """
 
 from __future__ import annotations

@@ -43,7 +43,6 @@ from dpend.check import (
     answers,
     measurements,
     mirrored_forces,
-    missing_measurements_are_survived,
     whole_turns_change_nothing,
 )
 from dpend.controller import is_batched
@@ -113,12 +112,8 @@ def built(name: str, preset: str) -> Any:
     return make(rig) if "rig" in inspect.signature(make).parameters else make()
 
 
-# Learned laws that know only what is measured; one of them takes angles as they are.
-EXEMPT = {
-    "GainPolicy": {missing_measurements_are_survived},
-    "TableOneMean": {missing_measurements_are_survived},
-    "LinearQPolicy": {missing_measurements_are_survived, whole_turns_change_nothing},
-}
+# Table 1's features have angles as they are.
+EXEMPT = {"LinearQPolicy": {whole_turns_change_nothing}}
 # What plans takes a second for each plant; the fast tests try a strong actuator and a weak one.
 QUICK = ("gustafsson2016", "dompc_dip")
 PLANNERS = {"ILQRMPC", "ModelPolicy", "NMPC", "PlannedPolicy"}
@@ -146,7 +141,7 @@ def presets_of(check: ControllerCheck, name: str) -> Iterable[str]:
         for check in checks_of(name)
         for fast in [presets_of(check, name)]
         for presets, kind, marks in (
-            (fast, "", []),
+            (fast, "", [pytest.mark.slow] if name == "ModelPolicy" else []),  # whose model is slow to compile
             ([preset for preset in dpend.rigs() if preset not in fast], "-other presets", [pytest.mark.slow]),
         )
         if presets

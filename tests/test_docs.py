@@ -59,6 +59,7 @@ def test_the_page_of_own_controllers_runs_and_says_what_by_hand_breaks(capsys):
     assert any("turn" in line for line in broken)
 
 
+@pytest.mark.slow
 def test_the_page_of_learners_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     run("training.md")
@@ -136,6 +137,7 @@ def test_what_is_public_is_documented_as_numpydoc_asks(package):
     assert not found, "\n".join(map(str, found))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", ["dpend", "controllers", "rl"])
 def test_the_examples_of_docstrings_print_what_they_show(package):
     lines: list[str] = []

@@ -159,6 +159,7 @@ def committed(name: str) -> Any:
     return load(COMMITTED).array("saved", contender=name)
 
 
+@pytest.mark.slow
 def test_where_lqrs_committed_starts_fall_to_a_share_that_share_is_saved() -> None:
     rig, lqr = dpend.rig("gustafsson2016"), LQR(dpend.rig("gustafsson2016"))
     assert committed("LQR").shape == (100_000, len(LAMS))
@@ -181,6 +182,7 @@ def covered(shared: bool, part: float, times: int) -> float:
     return float(np.mean(held))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [0.5, 0.9])
 @pytest.mark.parametrize("shared", [True, False])
 def test_the_interval_of_a_crossing_covers_that_of_lqrs_committed_starts(shared: bool, part: float) -> None:
@@ -194,6 +196,7 @@ def test_its_coverage_is_94_to_96_percent(shared: bool, part: float) -> None:
     assert 0.94 <= covered(shared, part, 4000) <= 0.96
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [100, 1000])
 @pytest.mark.parametrize("lam", [0.25, 0.3, 0.4, 0.6])
 def test_wilsons_intervals_cover_the_share_of_lqrs_committed_starts(lam: float, n: int) -> None:
@@ -204,6 +207,7 @@ def test_wilsons_intervals_cover_the_share_of_lqrs_committed_starts(lam: float, 
     assert abs(held - 0.95) < 0.01 + 2.6 * (0.95 * 0.05 / len(found)) ** 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lam", [0.3, 0.4, 0.6])
 def test_intervals_of_a_difference_cover_that_of_two_laws_on_the_committed_starts(lam: float) -> None:
     ours, theirs = (committed(name)[:, LAMS.index(lam)] for name in ("tuned linear", "LQR"))

@@ -75,6 +75,7 @@ every_model = pytest.mark.parametrize("build", MODELS.values(), ids=list(MODELS)
 # --------------------------------------------------------------------------------------------------------------- models
 
 
+@pytest.mark.slow
 @every_model
 def test_a_models_slopes_are_those_of_finite_differences(build: Any) -> None:
     rng = np.random.default_rng(0)
@@ -91,6 +92,7 @@ def test_a_models_slopes_are_those_of_finite_differences(build: Any) -> None:
     assert_allclose(D[0, :, 7], step(at) - x, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @every_model
 def test_a_model_that_knows_the_mirror_is_odd_and_otherwise_not(build: Any) -> None:
     rng = np.random.default_rng(1)
@@ -101,6 +103,7 @@ def test_a_model_that_knows_the_mirror_is_odd_and_otherwise_not(build: Any) -> N
     assert np.allclose(there, -mirrored, rtol=0, atol=1e-9) == mirrored_too
 
 
+@pytest.mark.slow
 @every_model
 def test_a_model_is_what_its_arrays_say(build: Any) -> None:
     belief, rng = build(np.random.default_rng(2)), np.random.default_rng(3)
@@ -324,6 +327,7 @@ def test_a_minute_of_experience_swings_up(tmp_path: Any) -> None:
     assert (near < far).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["pilco2011", "gustafsson2016"])
 def test_two_seconds_of_motion_and_the_equations_swing_up(preset: str) -> None:
     rig = dpend.rig(preset)

@@ -50,6 +50,7 @@ def said(capsys: Any) -> str:
     return " ".join((out + err).replace("│", " ").split())
 
 
+@pytest.mark.slow
 def test_a_users_own_that_fails_on_the_way_is_left_out_and_the_study_goes_on(
     mine: str, tmp_path: Path, capsys: Any
 ) -> None:

@@ -403,6 +403,7 @@ ANYTHING = st.recursive(
 KEYS = ("do", "rig", "task", "changes", "controllers", "states", "k", "seed", "n", "push", "more")
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=100)
 @given(key=st.sampled_from(KEYS), value=ANYTHING, moved=st.booleans())
 def test_whatever_stands_in_a_message_it_is_answered_or_refused_in_words(key: str, value: Any, moved: bool) -> None:

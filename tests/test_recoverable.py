@@ -118,6 +118,7 @@ def test_the_motion_of_least_force_keeps_all_limits_and_ends_at_rest(search):
     assert np.abs(plan.x[:, 1:3]).max() <= math.pi / 2
 
 
+@pytest.mark.slow
 def test_a_mirrored_start_asks_for_the_same_force(search):
     assert search(-at_rest(0.2, -0.3)).about["force"] == pytest.approx(
         search(at_rest(0.2, -0.3)).about["force"], abs=0.01
@@ -144,6 +145,7 @@ def test_other_guesses_lead_to_no_lower_force(search):
         assert np.nanmin(forces) == pytest.approx(forces[0], abs=0.05)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_refused(search):
     with pytest.raises(
         NoTrajectory, match=r"^No motion from \[0\.0, 1\.9, 0\.0, 0\.0, 0\.0, 0\.0\] to the target was found "
