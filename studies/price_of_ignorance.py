@@ -23,8 +23,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
 
 import dpend
 from rl import IdentifyAndPlan, Learner, ModelBased
@@ -32,7 +35,7 @@ from rl.model_based import settled
 
 from . import _runner
 from ._closure import kept_table
-from ._estimates import median
+from ._estimates import Estimate, median
 from ._figures import COLOURS, facets, legend_above, log_axis
 from ._runner import Plant, Positive, Report, Result, Table, read_rows, where
 from ._tables import Value, sheet
@@ -177,27 +180,26 @@ _MILESTONES = {
     "stable": (COLOURS[1], "D", 0.15, "stable: 90 % of fresh starts, twice"),
 }
 """Colour, marker, place on a line, and words."""
+_BALANCED = {
+    "most": (COLOURS[0], "o", -0.15, "balancing: 95 % of starts, once"),
+    "kept": (COLOURS[2], "s", 0.15, "balancing: 95 % of starts from then on"),
+}
+_BALANCERS = ("LSPI", "QAC tuned", "Q tuned")
 
 
 def report(table: Table) -> Report:
     """Draw experience to success against prior knowledge, and tabulate it with processor time."""
     names = [*dict.fromkeys(table.rows["plant"])]
     there = [prior for prior in PRIORS if len(where(table.rows, prior=prior))]
-    figure, axes = facets(len(names), height=0.9 + 0.38 * (len(there) + 1) * len(names), sharex=True)
+    ratios = [len(there) + 1] * len(names) + [len(_BALANCERS)]
+    figure, axes = facets(len(ratios), height=1.6 + 0.38 * sum(ratios), sharex=True, height_ratios=ratios)
     lines: list[dict[str, Value]] = []
-    for axis, name in zip(axes[:, 0], names, strict=True):
+    for axis, name in zip(axes[:, 0], names, strict=False):
         for k, prior in enumerate(there):
             own = where(table.rows, plant=name, prior=prior)
             line: dict[str, Value] = {"plant": name, "prior": prior, "trainings": len(own)}
-            for kind, (colour, mark, lift, label) in _MILESTONES.items():
-                each, height = own[kind], np.full(len(own), k + lift)
-                axis.plot(each, height, mark, color=colour, ms=4, alpha=0.5, mew=0, label=label)
-                never = own["experience"].where(each.isna())
-                axis.plot(never, height, ">", color=colour, ms=5, mfc="none", label="not within this")
-                middle = median(each.fillna(math.inf))
-                if math.isfinite(middle.value):
-                    axis.plot([middle.value] * 2, [k + lift - 0.12, k + lift + 0.12], color=colour, lw=2.2)
-                line |= {f"{kind}, s": middle, f"{kind}: trainings": int(np.sum(each.notna())),
+            for kind, middle in _drawn(axis, k, own, _MILESTONES).items():
+                line |= {f"{kind}, s": middle, f"{kind}: trainings": int(np.sum(own[kind].notna())),
                          f"{kind}, CPU s": median(own[f"{kind}_cpu"].dropna())}  # fmt: skip
             line["failed after the first"] = int(np.sum(own["failed"]))
             line |= {"p99 of a step, ms": median(1e3 * own["step_p99"].dropna()),
@@ -212,11 +214,41 @@ def report(table: Table) -> Report:
                 axis.axvspan(*_PILCO, color="0.88", lw=0)
             else:
                 axis.axvline(seconds, color="0.5", lw=0.8, ls=":")
-        axis.set(ylim=(len(there) - 0.3, -0.6), yticks=range(len(there)), yticklabels=there, title=name)
+        axis.set(ylim=(len(there) - 0.3, -0.6), yticks=range(len(there)), yticklabels=there, title=f"Swing-up, {name}")
+    balancing = _balancing(axes[-1, 0])
     log_axis(axes[-1, 0], ticks=(2, 5, 10, 20, 50, 100, 200, 1000, 10000, 100000))
     axes[-1, 0].set_xlabel("experience (s)")
-    legend_above(figure, 3, "Prior knowledge of the plant, and what it saves")
-    return Report(figures=figure, tables=[sheet("Experience and processor time to success", lines)])
+    legend_above(figure, 2, "Prior knowledge of the plant, and what it saves")
+    tables = [sheet("Experience and processor time to success", lines),
+              sheet("Balancing without the equations, from λ = 0.1 as LQR does", balancing)]  # fmt: skip
+    return Report(figures=figure, tables=tables)
+
+
+def _drawn(axis: Axes, k: int, own: pd.DataFrame, milestones: Mapping[str, Any]) -> dict[str, Estimate]:
+    """Draw the experience of trainings to milestones on line ``k``, and return the medians."""
+    found = {}
+    for kind, (colour, mark, lift, label) in milestones.items():
+        each, height = own[kind], np.full(len(own), k + lift)
+        axis.plot(each, height, mark, color=colour, ms=4, alpha=0.5, mew=0, label=label)
+        never = own["experience"].where(each.isna())
+        axis.plot(never, height, ">", color="0.4", ms=5, mfc="none", label="not within this")
+        found[kind] = median(each.fillna(math.inf))
+        if math.isfinite(found[kind].value):
+            axis.plot([found[kind].value] * 2, [k + lift - 0.12, k + lift + 0.12], color=colour, lw=2.2)
+    return found
+
+
+def _balancing(axis: Axes) -> list[dict[str, Value]]:
+    """Draw the experience to balancing on the report's plant, from the trainings of the study of learning curves."""
+    rows, lines = where(read_rows(kept_table("learning_curves")), lam=0.1), list[dict[str, Value]]()
+    for k, learner in enumerate(_BALANCERS):
+        own = where(rows, learner=learner)
+        middles = _drawn(axis, k, own, _BALANCED)
+        lines.append({"learner": learner, "trainings": len(own), "95 % first, s": middles["most"],
+                      "95 % from then on, s": middles["kept"], "CPU s": median(own["most_cpu"].dropna())})  # fmt: skip
+    last = len(_BALANCERS)
+    axis.set(ylim=(last - 0.5, -0.5), yticks=range(last), yticklabels=_BALANCERS, title="Balancing, gustafsson2016")
+    return lines
 
 
 def _deep() -> dict[str, float]:
