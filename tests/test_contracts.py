@@ -114,7 +114,7 @@ def built(name: str, preset: str) -> Any:
 
 # Table 1's features have angles as they are.
 EXEMPT = {"LinearQPolicy": {whole_turns_change_nothing}}
-# What plans takes a second for each plant; the fast tests try a strong actuator and a weak one.
+# What plans takes a second for each plant: a strong actuator and a weak one are tried, and the others at night.
 QUICK = ("gustafsson2016", "dompc_dip")
 PLANNERS = {"ILQRMPC", "ModelPolicy", "NMPC", "PlannedPolicy"}
 COSTLY = {mirrored_forces, a_step_takes_less_than_a_sample}
@@ -129,7 +129,7 @@ def checks_of(name: str) -> list[ControllerCheck]:
 
 
 def presets_of(check: ControllerCheck, name: str) -> Iterable[str]:
-    """Return the presets on which the fast tests try a check."""
+    """Return the presets on which a check is tried, but at night."""
     return QUICK if name in PLANNERS or check in COSTLY else dpend.rigs()
 
 
@@ -142,7 +142,7 @@ def presets_of(check: ControllerCheck, name: str) -> Iterable[str]:
         for fast in [presets_of(check, name)]
         for presets, kind, marks in (
             (fast, "", [pytest.mark.slow] if name == "ModelPolicy" else []),  # whose model is slow to compile
-            ([preset for preset in dpend.rigs() if preset not in fast], "-other presets", [pytest.mark.slow]),
+            ([preset for preset in dpend.rigs() if preset not in fast], "-other presets", [pytest.mark.nightly]),
         )
         if presets
     ],
