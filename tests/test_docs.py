@@ -69,13 +69,13 @@ def test_the_page_of_learners_runs(tmp_path, monkeypatch, capsys):
 
 
 RUN_ABOVE_OR_ELSEWHERE = {"start.md", "own-controller.md", "training.md", "identify.md", "ilqr.md"}
-MINUTES = {"model-based.md", "trajectory-optimisation.md"}
+LONG = {"model-based.md", "trajectory-optimisation.md", "tuned-linear.md"}
 
 
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(path.name, marks=pytest.mark.nightly if path.name in MINUTES else pytest.mark.slow)
+        pytest.param(path.name, marks=pytest.mark.nightly if path.name in LONG else pytest.mark.slow)
         for path in sorted(DOCS.glob("*.md"))
         if "```python" in path.read_text() and path.name not in RUN_ABOVE_OR_ELSEWHERE
     ],

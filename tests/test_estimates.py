@@ -80,7 +80,7 @@ def test_of_one_unit_the_interval_is_that_of_its_runs_and_of_no_trials_there_is_
 # ---------------------------------------------------------------------------------------------------------- medians
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("n", [6, 20, 25, 400])
 def test_intervals_of_a_median_cover_it_whatever_the_values_are_like(n):
     rng = np.random.default_rng(3)
@@ -140,7 +140,7 @@ def test_the_interval_of_a_crossing_covers_that_of_a_logistic(draw: Callable[...
     assert 0.905 <= coverage(draw, share, where(share), 200) <= 0.99
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("draw", [fresh_starts, same_starts])
 @pytest.mark.parametrize("share", [0.5, 0.9])
 def test_the_interval_of_a_crossing_covers_that_of_a_logistic_many_times(

@@ -79,7 +79,7 @@ def test_intervals_cover_the_truth_about_as_often_as_they_say() -> None:
     assert 0.85 <= coverage(range(100, 108)) <= 1.0  # 48 intervals
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_intervals_cover_the_truth_about_as_often_as_they_say_over_many_recordings() -> None:
     assert 0.92 <= coverage(range(1000, 1060)) <= 0.985  # 360 intervals, not all independent
 
@@ -334,8 +334,8 @@ ENCODER_2 = np.array([[1, 0, 0], [0, 1, 0], [0, 2, -1]])  # counts from link 1, 
     [
         ("u", "force_unit", np.eye(3), -1),
         ("th2", "angle_unit", np.diag([1, 1, -1]), 1),
-        ("th2 against th1", "angle_unit", ENCODER_2, 1),
-        pytest.param("pos", "position_unit", np.diag([-1, 1, 1]), 1, marks=pytest.mark.slow),
+        pytest.param("th2 against th1", "angle_unit", ENCODER_2, 1, marks=pytest.mark.nightly),
+        pytest.param("pos", "position_unit", np.diag([-1, 1, 1]), 1, marks=pytest.mark.nightly),
     ],
 )
 def test_a_wrong_sign_of_a_recording_is_named(what: str, argument: str, turn: Any, force: int) -> None:

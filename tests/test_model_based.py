@@ -264,7 +264,7 @@ def test_of_a_plant_drawn_from_the_prior_the_posterior_is_as_sure_as_it_may_be()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.1, 1.0])
+@pytest.mark.parametrize("noise", [pytest.param(0.1, marks=pytest.mark.nightly), 1.0])
 def test_noise_as_great_as_the_motion_is_found_and_not_fitted(noise: float) -> None:
     (run,) = moved(1, seed=1, rig=RIG.replace(sensor_noise=noise, force_limit=2.0))
     model = joint_fit.fit([Episode(run.y, run.u)], H, True, True, None)

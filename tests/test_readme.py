@@ -65,7 +65,7 @@ def test_a_controller_in_every_comparison_takes_ten_lines(mine):
 @pytest.mark.parametrize(
     ("study", "spec"),
     [
-        pytest.param(*each, marks=pytest.mark.nightly if each[0] == "studies.robustness" else pytest.mark.slow)
+        pytest.param(*each, marks=pytest.mark.slow if each[0] == "studies.lambda_sweep" else pytest.mark.nightly)
         for each in OWN
     ],
 )

@@ -411,6 +411,7 @@ def test_what_changes_no_result_throws_none_away(study, name, find, put, copied,
     assert source_hash(f"studies.{study}", root=copied) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("study", "name", "find", "put"),
     [
@@ -594,19 +595,19 @@ def runs_quickly(name, tmp_path, *rig):
     assert (tmp_path / f"{name.removeprefix('studies.')}.png").stat().st_size > 10_000
 
 
-COMPARISONS = {f"studies.{name}" for name in ("lambda_sweep", "leaderboard", "robustness", "smoothness", "swing_up")}
-"""Studies in which many take part; tests/test_readme.py runs them with a few, and the nightly tests with everybody."""
+AT_NIGHT = {
+    f"studies.{name}"
+    for name in ("energy_swing_up", "lambda_sweep", "leaderboard", "published_q", "recoverable", "robustness",
+                 "smoothness", "swing_up")
+}  # fmt: skip
+"""Studies of which a quick run takes longest; their own tests run parts of them, comparisons with few contenders."""
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(set(STUDIES) - COMPARISONS))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.nightly if name in AT_NIGHT else pytest.mark.slow) for name in STUDIES],
+)
 def test_every_study_runs_quickly(name, tmp_path):
-    runs_quickly(name, tmp_path)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("name", sorted(COMPARISONS))
-def test_every_comparison_runs_quickly_with_everybody(name, tmp_path):
     runs_quickly(name, tmp_path)
 
 
