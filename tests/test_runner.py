@@ -596,11 +596,9 @@ def runs_quickly(name, tmp_path, *rig):
 
 
 AT_NIGHT = {
-    f"studies.{name}"
-    for name in ("energy_swing_up", "lambda_sweep", "leaderboard", "published_q", "recoverable", "robustness",
-                 "smoothness", "swing_up")
-}  # fmt: skip
-"""Studies of which a quick run takes longest; their own tests run parts of them, comparisons with few contenders."""
+    f"studies.{name}" for name in ("lambda_sweep", "leaderboard", "recoverable", "robustness", "smoothness", "swing_up")
+}
+"""Studies whose own tests run their jobs and reports, with a few contenders; by day these are enough."""
 
 
 @pytest.mark.parametrize(
