@@ -23,6 +23,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
@@ -61,9 +62,18 @@ KNOWN = (*(contender for contender in CONTENDERS if not contender.policy), *ONLY
          *(contender for contender in CONTENDERS if contender.policy))  # fmt: skip
 """Those that can take part, what is designed first."""
 
-LINEAR = ("LQR", "stiff LQR", "LQR, best weights", "tuned linear", "LSPI", "QAC tuned")
-SWITCHED = ("sign of LQR", "sign of stiff LQR", "sign of tuned linear", "Q published", PLAIN, "Q tuned")
-"""Those whose law is linear up to the limit, and the sign of a linear one; all others are drawn as nonlinear."""
+OTHERS = "nonlinear († one training)"
+KINDS = {
+    "linear": ("LQR", "stiff LQR", "LQR, best weights", "tuned linear", "LSPI", "QAC tuned"),
+    "sign of a linear law": (
+        "sign of LQR", "sign of stiff LQR", "sign of tuned linear", "Q published", PLAIN, "Q tuned",
+    ),
+    OTHERS: (),
+    "learned to swing up": ("PPO swing-up", "PPO swing-up, smooth", "DDPG swing-up"),
+}  # fmt: skip
+"""Laws that are linear up to the limit, the sign of a linear one, all others, and those learned for another task."""
+FIRST = ("LQR", "tuned linear", "iLQR MPC", "Q published", "Q tuned", "PPO balance")
+"""Those that the first figure shows, as many as one can tell apart; where some are missing, others in their place."""
 BASELINE = "tuned linear"
 LADDER = ("LQR", "LQR, best weights", "sign of tuned linear", BASELINE, "DDPG balance", "PPO balance", "iLQR MPC")
 """Those that are compared with the best linear law known, start by start."""
@@ -277,26 +287,30 @@ def converged(table: Table, contender: str) -> str:
 
 
 def _label(table: Table, contender: str) -> str:
-    """Name a contender; a dagger marks one training as shipped; say how many trainings converged if not all did."""
-    outcomes = set(_outcomes(table, contender))
-    if outcomes == {SHIPPED}:
-        return f"{contender} †"
-    return contender + ("" if outcomes <= {DESIGNED, "converged"} else f" ({converged(table, contender)} converged)")
+    """Name a contender; a dagger marks one training as shipped."""
+    return f"{contender} †" if set(_outcomes(table, contender)) == {SHIPPED} else contender
+
+
+def _full_label(table: Table, contender: str) -> str:
+    """Name a contender, with the number of its trainings that converged if not all did."""
+    all_did = set(_outcomes(table, contender)) <= {DESIGNED, SHIPPED, "converged"}
+    return _label(table, contender) + ("" if all_did else f" ({converged(table, contender)} converged)")
 
 
 def report(table: Table) -> Report:
-    """Draw success against λ, where it falls, some forces and the maps, and tabulate them and what learning cost."""
+    """Draw success against λ, where it falls, forces and maps; tabulate them and what learning cost."""
     looks = styles(table.rows["contender"], KNOWN)
     lams = sorted(set(table.rows["lam"]))
     success = {name: {lam: saved(table, name, lam) for lam in lams} for name in looks}
     falls = {name: falls_to(table, name) for name in looks}
     known, known_falls = best(table)
-    figures = {"": _overview(table, looks, success, known, ({BEST_KNOWN: known_falls} if known else {}) | falls)}
+    figures = {"": _overview(table, looks, success, known)}
+    figures["_all"] = _everyone(table, looks, success, known, ({BEST_KNOWN: known_falls} if known else {}) | falls)
     if gains := _gains(table, success):
         figures["_nonlinearity"] = _plot_gains(success, gains, known, looks)
     if maps := {name: np.mean(found, axis=0) for name in looks if (found := table.arrays("basin", contender=name))}:
         figures["_basins"] = plot_basins(maps, known=_default(table))
-    named = {BEST_KNOWN: known} | {_label(table, name): curve for name, curve in success.items()}
+    named = {BEST_KNOWN: known} | {_full_label(table, name): curve for name, curve in success.items()}
     note = "† as shipped, one training" if any("†" in name for name in named) else ""
     beyond = f"Saved beyond the {BASELINE} law, points, on the starts that both had"
     tables = (
@@ -324,41 +338,56 @@ def _table2(table: Table) -> dict[float, float]:
     return {lam: TABLE2[lam] for lam in TABLE2 if coded and lam in set(table.rows["lam"])}
 
 
-def _overview(
-    table: Table, looks: Mapping[str, Style], success: Mapping[str, Curve], known: Curve, falls: Mapping[str, Falls]
-) -> Figure:
-    lams = list(next(iter(success.values())))
+def _overview(table: Table, looks: Mapping[str, Style], success: Mapping[str, Curve], known: Curve) -> Figure:
+    """Draw what some save beside the best known, and the forces that they take to it."""
+    own = [name for name in looks if name not in {each.name for each in KNOWN}]
+    some = sorted(looks, key=lambda name: name not in (*own, *FIRST))[: len(own) + len(FIRST)]
     traces = {
         f"{name}, one episode at λ = {_TRACE_LAM:g}": (force, looks[name])
         for name in looks
         for force in table.arrays("force", contender=name)
     }
-    kinds = ("linear", "sign of a linear law", "nonlinear († one training)")
-    of_kind = [[name for name in looks if name in of] for of in (LINEAR, SWITCHED)]
-    of_kind.append([name for name in looks if name not in (*LINEAR, *SWITCHED)])
-    figure, axes = mosaic(
-        [[[list(kinds)]], [[["falls", [[title] for title in traces] or "falls"]]]],
-        height=8.6, height_ratios=[1.0, 1.1],
-    )  # fmt: skip
-    stars = {lam: Estimate(value) for lam, value in _table2(table).items()}
-    for kind, own in zip(kinds, of_kind, strict=True):
-        axis, first = axes[kind], kind == kinds[0]
-        best_known(axis, known, BEST_KNOWN)
-        of = {_label(table, name): success[name] for name in own}
-        saved_by_angle(axis, of, [looks[name] for name in own], "starts saved" if first else "")
-        axis.tick_params(labelleft=first)
-        if stars and kind == kinds[1]:
-            style = ("k", "*", "none")
-            _figures.intervals(axis, list(stars), stars.values(), style, label="the report's Table 2", ms=8, zorder=5)
-        legend_above(axis, 1, kind)
+    figure, axes = mosaic([["saved", [[title] for title in traces]] if traces else ["saved"]], height=4.6)
+    best_known(axes["saved"], known, BEST_KNOWN)
+    saved_by_angle(axes["saved"], {_label(table, name): success[name] for name in some}, [looks[name] for name in some])
+    _table2_stars(axes["saved"], table)
+    axes["saved"].legend(loc="lower left", bbox_to_anchor=(0.0, 0.05))
+    _figures.force_traces(axes, traces, float(table.rows["sample_time"].to_numpy()[0]), _TRACE_SECONDS)
+    return figure
 
+
+def _everyone(
+    table: Table, looks: Mapping[str, Style], success: Mapping[str, Curve], known: Curve, falls: Mapping[str, Falls]
+) -> Figure:
+    """Draw what everyone saves, by kind of law, and where success falls."""
+    kind_of = {name: kind for kind, names in KINDS.items() for name in names}
+    of_kind = {kind: [name for name in looks if kind_of.get(name, OTHERS) == kind] for kind in KINDS}
+    of_kind = {kind: names for kind, names in of_kind.items() if names}
+    pairs = [list(of_kind)[k : k + 2] for k in range(0, len(of_kind), 2)]
+    heights = [3.2] * len(pairs) + [0.5 + 0.19 * len(falls)]
+    rows = [pair if len(pair) == 2 else 2 * pair for pair in pairs]
+    figure, axes = mosaic([*rows, 2 * ["falls"]], height=sum(heights), height_ratios=heights)
+    for kind, own in of_kind.items():
+        best_known(axes[kind], known, BEST_KNOWN)
+        of = {_label(table, name): success[name] for name in own}
+        saved_by_angle(axes[kind], of, [looks[name] for name in own])
+        if "Q published" in own:
+            _table2_stars(axes[kind], table)
+        legend_above(axes[kind], 2, kind)
+    lams = list(next(iter(success.values())))
     order = sorted(falls, key=lambda n: (n == BEST_KNOWN, falls[n][0].value, falls[n][1].value), reverse=True)
     for which in (0, 1):
         of = {name: falls[name][which] for name in order}
         forest(axes["falls"], of, looks, tried=(lams[0], lams[-1]), hollow=which == 1)
     axes["falls"].set_xlabel("λ90 (open) and λ50 (filled), rad")
-    _figures.force_traces(axes, traces, float(table.rows["sample_time"].to_numpy()[0]), _TRACE_SECONDS)
     return figure
+
+
+def _table2_stars(axis: Axes, table: Table) -> None:
+    """Mark the report's own figures where the table is of the plant that its program has."""
+    if reported := _table2(table):
+        estimates, style = [Estimate(value) for value in reported.values()], ("k", "*", "none")
+        _figures.intervals(axis, list(reported), estimates, style, label="the report's Table 2", ms=8, zorder=5)
 
 
 def _gains(table: Table, success: Mapping[str, Curve]) -> dict[str, Curve]:
