@@ -1,8 +1,7 @@
 """Train a learner from the command line: ``python -m rl.train --algo ppo --task swing-up --rig gustafsson2016``.
 
 Each seed has a folder with its policy; of deep learners also with its settings, its evaluation curve and a checkpoint,
-so that a training that was stopped in any way goes on when the same command is given again.  The linear and
-the model-based learners take seconds or minutes and have no settings but seed and rig.
+so that a training that was stopped in any way goes on when the same command is given again.
 """
 
 from __future__ import annotations
@@ -54,6 +53,8 @@ LINEAR: Mapping[str, Callable[[Rig], Learner]] = MappingProxyType(
 
 _RIG = "gustafsson2016"
 _PROGRAM = "python -m rl.train"
+_ALGORITHMS = f"""Algorithms without settings are {", ".join(LINEAR)}; they take seconds or minutes.
+Deep ones are {", ".join(DEFAULTS)}; {_PROGRAM} --algo ppo --help lists their settings, such as --task and --steps."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,14 +118,15 @@ def main(arguments: Sequence[str] | None = None) -> list[Policy]:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     which, _ = tyro.cli(_Which, args=arguments, return_unknown_args=True, add_help=False)
     linear = which.algo in LINEAR
+    brief = not any(each.startswith("--algo") for each in arguments) and not {"-h", "--help"}.isdisjoint(arguments)
     try:
         known([*LINEAR, *DEFAULTS])("--algo", which.algo)
         registry = ConstructorRegistry()
         registry.primitive_rule(partial(_built, which.plant()))
         options: Any = tyro.cli(
-            LinearOptions if linear else DeepOptions,
+            LinearOptions if linear or brief else DeepOptions,
             args=arguments if which.rig else [*arguments, "--rig", _RIG],
-            description=f"{__doc__}\n\nWithout settings are {', '.join(LINEAR)}.",
+            description=f"{__doc__}\n{_ALGORITHMS}",
             prog=_PROGRAM,
             registry=registry,
         )

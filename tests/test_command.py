@@ -1,6 +1,8 @@
 """The command dpend: each word leads to a module that is there, and an unknown one to the nearest that is known."""
 
 import re
+import shutil
+import subprocess
 import sys
 from importlib.util import find_spec
 
@@ -30,3 +32,20 @@ def test_the_presets_are_listed_and_an_unknown_word_is_refused(capsys):
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(dpend.rigs())
     with pytest.raises(SystemExit, match=re.escape("dpend does not know 'swepe'. Did you mean 'sweep'?")):
         main(["swepe"])
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+def test_bash_completes_words_and_the_options_of_studies(tmp_path, capsys):
+    main(["completion", "bash"])
+    (tmp_path / "dpend.sh").write_text(capsys.readouterr().out)
+    script = """source dpend.sh; COMP_WORDS=({words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1))
+    $(complete -p dpend | sed 's/.*-F \\([^ ]*\\).*/\\1/'); echo "${{COMPREPLY[@]}}" """
+
+    def completed(words):
+        command = ["bash", "-c", script.format(words=words)]
+        return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.split()
+
+    assert completed("dpend sw") == ["sweep", "swing-up"]
+    assert completed("dpend sweep --part") == ["--part-of"]
+    with pytest.raises(SystemExit, match=r"dpend completion takes a shell, of bash, .*; got 'dos'"):
+        main(["completion", "dos"])
