@@ -8,9 +8,9 @@ and the linearised plant.  ``--check`` solves random starts one by one.
 
 Finding: on gustafsson2016 98.9/88.7/76.6/62.3 % of the starts can be saved at λ = .3/.4/.5/.6; without its track it is
 100/98.5/90.0/80.1 %, for the linearised plant on its track 99.7/90.9/79.0/66.0 %: the track decides.  To save 90 % at
-λ = .4 takes 2.11 times the weight on the track, 1.61 times without.  3095 of 3100 random starts, solved one by one,
+λ = .4 takes 2.11 times the weight on the track, 1.61 times without.  3995 of 4000 random starts, solved one by one,
 lie on their side of the boundary; from the others the search finds nothing, and the tuned linear law saves them.  From
-``--check 3100``, kept in docs/results/recoverable.
+``--check 4000``, kept in docs/results/recoverable.
 """
 
 from __future__ import annotations
