@@ -24,7 +24,8 @@ import tyro
 from rich.console import Console
 
 import dpend
-from benchmarks.simulator import COPIES, SAMPLES, Comparison, Job, pin_to_one_core, report
+from benchmarks.race import Job, Race, pin_to_one_core, run, show
+from benchmarks.simulator import COPIES, SAMPLES
 from controllers import LQR
 from dpend.emit import SINES, plant
 from dpend.kernels import OPTIONS, rk4
@@ -81,7 +82,7 @@ def scalar_jobs(steps: int, folder: Path) -> dict[str, Job]:
     c, start = Coefficients(*map(float, RIG.params.coefficients())), ", ".join(map(str, _START))
     ends: dict[str, float] = {}
 
-    def counted(name: str, angle: float) -> int:
+    def counted(name: str, angle: float) -> float:
         ends[name] = angle
         if not np.allclose(list(ends.values()), ends[SCALAR], rtol=0, atol=1e-6):
             raise RuntimeError(f"The plants end in different angles: {ends}.")
@@ -100,7 +101,7 @@ def scalar_jobs(steps: int, folder: Path) -> dict[str, Job]:
         module.write_text(plant("js", RIG, sines=sines) + _JAVASCRIPT.replace("START", start))
         process: Any = subprocess.Popen(["node", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
-        def javascript(name: str = name, process: Any = process) -> int:
+        def javascript(name: str = name, process: Any = process) -> float:
             print(steps, file=process.stdin, flush=True)
             return counted(name, float(process.stdout.readline()))
 
@@ -113,7 +114,7 @@ def batch_jobs(samples: int) -> dict[str, Job]:
     lqr, steps = LQR(RIG), COPIES * samples * RIG.substeps
     x0 = dpend.Balance(lam=0.1).starts(np.random.default_rng(0), COPIES, RIG)
 
-    def simulated() -> int:
+    def simulated() -> float:
         dpend.simulate_many(RIG, lqr, x0, samples * RIG.sample_time, task=None)
         return steps
 
@@ -127,7 +128,7 @@ def batch_jobs(samples: int) -> dict[str, Job]:
         gain = lqr.K[0]
         loop = jax.jit(lambda x0: jax_plant.rollout(RIG, lambda t, x: -x @ gain, x0, samples)[0][-1])
 
-        def rolled() -> int:
+        def rolled() -> float:
             loop(x0).block_until_ready()
             return steps
 
@@ -135,26 +136,24 @@ def batch_jobs(samples: int) -> dict[str, Job]:
     return jobs
 
 
-def main(quick: bool = False, repetitions: int = 10) -> None:
-    """Measure Runge-Kutta steps a second in each language.
+def races(folder: Path, quick: bool = False) -> list[Race]:
+    """Return the races of single steps and of closed loops; libraries are compiled into a folder that must stay."""
+    single, batch = scalar_jobs(20_000 if quick else 1_000_000, folder), batch_jobs(10 if quick else SAMPLES)
+    asked = {"C": 1.0, "JavaScript": 0.1, "JAX": 0.2}
 
-    Parameters
-    ----------
-    quick
-        A little of everything, to see that it runs; the figures mean little.
-    repetitions
-        Turns that each language gets; two at most with --quick.
-    """
-    if repetitions < 1:
-        raise SystemExit(f"--repetitions must be at least 1; got {repetitions}.")
+    def race(title: str, jobs: dict[str, Job], peer: str) -> Race:
+        pairs = [(name, peer, asked[name.split(",")[0].split()[0]]) for name in jobs if name != peer]
+        return Race(title=title, counts="Runge-Kutta steps", jobs=jobs, pairs=pairs, elsewhere=True)
+
+    return [race("Languages, one step after the other", single, SCALAR), race("Languages, LQR in a loop", batch, BATCH)]
+
+
+def main(quick: bool = False) -> None:
+    """Measure Runge-Kutta steps a second in each language; ``--quick`` does a little of everything."""
     pin_to_one_core()
     with tempfile.TemporaryDirectory() as folder:
-        jobs = scalar_jobs(20_000 if quick else 1_000_000, Path(folder))
-        jobs |= batch_jobs(10 if quick else SAMPLES)
-        asked = {"C": (SCALAR, 1.0), "JavaScript": (SCALAR, 0.1), "JAX": (BATCH, 0.2)}
-        ours = [name for name in jobs if name not in (SCALAR, BATCH)]
-        comparisons: list[Comparison] = [(name, *asked[name.split(",")[0].split()[0]]) for name in ours]
-        report(Console(), "Runge-Kutta steps, gustafsson2016", jobs, comparisons, min(repetitions, 2 if quick else 100))
+        for race in races(Path(folder), quick):
+            show(Console(), run(race, 2 if quick else None))
 
 
 if __name__ == "__main__":

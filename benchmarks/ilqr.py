@@ -12,12 +12,12 @@ from rich.console import Console
 from rich.table import Table
 
 import dpend
-from benchmarks.simulator import race
+from benchmarks.race import Race, run, show
 from controllers import ILQRMPC
 from dpend.params import Array
 
 RUNS = 20
-STARTS, TURNS = 100, 3
+STARTS = 100
 
 
 def row(table: Table, name: str, seconds: Array) -> None:
@@ -42,28 +42,29 @@ def main() -> None:
         row(table, f"{start}: all steps but the first", steps[np.isfinite(steps)])
         row(table, f"{start}: until upright", steps[swinging & np.isfinite(steps)])
         row(table, f"{start}: first plan", runs.step_time[:, 0])
-    Console().print(table)
-    batch(rig)
+    console = Console()
+    console.print(table)
+    for race in races():
+        show(console, run(race))
 
 
-def batch(rig: dpend.Rig) -> None:
-    """Print how many times as fast a batch is as the same runs one after the other."""
+def races(quick: bool = False) -> list[Race]:
+    """Return the race of a batch against the same runs one after the other; on one core where pinned to one."""
+    rig = dpend.rig("gustafsson2016")
     law, task = ILQRMPC(rig, upright_only=True), dpend.Balance(lam=0.4)
-    starts = task.starts(np.random.default_rng(1), STARTS, rig)
+    starts = task.starts(np.random.default_rng(1), 4 if quick else STARTS, rig)
 
-    def side_by_side() -> int:
+    def side_by_side() -> float:
         return len(dpend.simulate_many(rig, law, starts, task=task))
 
-    def one_by_one() -> int:
+    def one_by_one() -> float:
         for row, x0 in enumerate(starts):
             dpend.simulate_many(rig, law, x0[None], task=task, first_row=row)
-        return STARTS
+        return len(starts)
 
-    speeds = race({"batch": side_by_side, "one": one_by_one}, TURNS)
-    best = {name: max(found) for name, found in speeds.items()}
-    faster, thousand = best["batch"] / best["one"], 1000 / best["batch"]
-    print(f"{STARTS} runs of {task.steps} samples at λ = 0.4, side by side: {faster:.2g} times as fast as one by one;")
-    print(f"a thousand take {thousand:.0f} s.")
+    ours, peer = f"{len(starts)} side by side", "one by one"
+    title, jobs = "iLQR MPC balancing from λ = 0.4, 300 samples", {ours: side_by_side, peer: one_by_one}
+    return [Race(title=title, counts="runs", jobs=jobs, pairs=[(ours, peer, None)], turns=3, elsewhere=True)]
 
 
 if __name__ == "__main__":

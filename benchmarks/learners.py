@@ -8,54 +8,46 @@ what a loop written in Python could reach at best.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import tyro
 from rich.console import Console
-from rich.table import Table
 
 import dpend
+from benchmarks.race import Race, pin_to_one_core, run, show
 from rl import LinearQLearning
 
-REPETITIONS = 5
+
+def races(quick: bool = False) -> list[Race]:
+    """Return the race of learning, compiled, against a loop in Python that does not learn."""
+    episodes, steps = (20, 1000) if quick else (2000, 20_000)
+    rig = dpend.rig("gustafsson2016")
+    learner = replace(LinearQLearning.tuned(rig, select=False), max_episodes=episodes, streak=episodes + 1)
+
+    def learn() -> float:
+        return learner.train(0).cost.steps
+
+    def step_in_python() -> float:
+        stepper = dpend.Stepper(rig, 1)
+        stepper.reset(np.zeros(6))
+        force = np.zeros(1)
+        for _ in range(steps):
+            stepper.step(force)
+        return steps
+
+    ours, peer = "linear Q-learning, compiled", "Stepper called from Python"
+    return [
+        Race(title="Learning", counts="samples", jobs={ours: learn, peer: step_in_python}, pairs=[(ours, peer, None)])
+    ]
 
 
-def learn() -> int:
-    """Train without acceptance tests until the budget ends; return the steps learned from."""
-    learner = replace(LinearQLearning.tuned(dpend.rig("gustafsson2016"), select=False), max_episodes=2000, streak=2001)
-    return learner.train(0).cost.steps
-
-
-def step_in_python() -> int:
-    """Step one rig from Python; return the steps."""
-    stepper = dpend.Stepper(dpend.rig("gustafsson2016"), 1)
-    stepper.reset(np.zeros(6))
-    force = np.zeros(1)
-    for _ in range(20_000):
-        stepper.step(force)
-    return 20_000
-
-
-def best(work: Callable[[], int]) -> float:
-    """Return the steps per second of one call."""
-    began = time.perf_counter()
-    steps = work()
-    return steps / (time.perf_counter() - began)
-
-
-def main() -> None:
-    learn()  # compiles
-    step_in_python()
-    speeds = [(best(learn), best(step_in_python)) for _ in range(REPETITIONS)]
-    learning, stepping = np.max(speeds, axis=0)
-    table = Table("one core", "M steps/s", title=f"Best of {REPETITIONS} interleaved repetitions")
-    table.add_row("linear Q-learning, compiled", f"{learning / 1e6:.2f}")
-    table.add_row("Stepper called from Python, no learning", f"{stepping / 1e6:.3f}")
-    table.add_row("ratio", f"{learning / stepping:.0f}")
-    Console().print(table)
+def main(quick: bool = False) -> None:
+    """Measure samples a second; ``--quick`` does a little of everything."""
+    pin_to_one_core()
+    for race in races(quick):
+        show(Console(), run(race, 2 if quick else None))
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main, prog="python -m benchmarks.learners")

@@ -13,7 +13,6 @@ os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = os.environ[
 import contextlib
 import io
 import math
-import platform
 import warnings
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -28,7 +27,7 @@ from rich.table import Table
 
 import dpend
 from benchmarks.dompc_plant import rods
-from benchmarks.simulator import TITLE, pin_to_one_core, version_of
+from benchmarks.race import TITLE, Ratio, pin_to_one_core, versions
 from controllers.codegen import NLPSolver
 from controllers.shooting import Stage, multiple_shooting
 from dpend.equations import make_energies, make_positions
@@ -207,6 +206,19 @@ def quality(x: Array, u: Array) -> tuple[float, float, float]:
     return cost + CHANGE * float(changes @ changes), up, clearance
 
 
+def ratios(quick: bool = False) -> list[Ratio]:
+    """Return how many times as fast a step is here as in do-mpc, step by step but for the first; nothing without it."""
+    if not find_spec("do_mpc"):
+        return []
+    warnings.simplefilter("ignore")  # about its extras, and from CasADi about its use of numpy
+    seconds, _, _ = closed_loops({"dpend": ours()[0], "do-mpc": theirs()}, 8 if quick else STEPS)
+    mine, other = (seconds[name][1:] for name in ("dpend", "do-mpc"))
+    low, middle, high = np.quantile(other / mine, (0.25, 0.5, 0.75))
+    speed = float(1 / np.median(mine))
+    title = "Nonlinear MPC on do-mpc's own example, closed loop"
+    return [Ratio(title, "steps", "dpend", "do-mpc", speed, float(middle), float(low), float(high), 10.0, 1.0)]
+
+
 def main(quick: bool = False) -> None:
     """Measure nonlinear MPC beside do-mpc's on do-mpc's own example, on one core, in turns.
 
@@ -219,8 +231,7 @@ def main(quick: bool = False) -> None:
     console = Console()
     law, backend = ours()
     laws: dict[str, Law] = {"dpend": law}
-    versions = f"Python {platform.python_version()}, {version_of('casadi')}, {version_of('do-mpc')}"
-    console.print(f"{versions}; dpend by {backend}", highlight=False, soft_wrap=True)
+    console.print(f"{versions('casadi', 'do-mpc')}; dpend by {backend}", highlight=False, soft_wrap=True)
     if find_spec("do_mpc"):
         warnings.simplefilter("ignore")  # about its extras, and from CasADi about its use of numpy
         laws["do-mpc"] = theirs()

@@ -10,14 +10,12 @@ import os
 
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
 
-import platform
-
 import numpy as np
 import tyro
 from rich.console import Console
 
 import dpend
-from benchmarks.simulator import Job, pin_to_one_core, race, report, version_of
+from benchmarks.race import Job, Race, pin_to_one_core, processor, run, show, versions
 from controllers import LQR
 from studies._field import RIG
 from studies._perturbations import AXES, NOMINAL, SECONDS, measure, task_of
@@ -29,7 +27,7 @@ THEIRS = 722
 def batched(starts: int) -> Job:
     """Let LQR balance on all axes from some starts; counts runs."""
 
-    def job() -> int:
+    def job() -> float:
         return sum(of.size for of in measure(LQR(RIG), "balance", starts).values())
 
     return job
@@ -41,7 +39,7 @@ def one_by_one(runs: int) -> Job:
     task = task_of("balance")
     starts = task.starts(np.random.default_rng([0, 1]), runs, RIG)
 
-    def job() -> int:
+    def job() -> float:
         law = LQR(RIG)
         for k, start in enumerate(starts):
             rig = RIG.replace(**axis.changes(np.array(axis.levels[k % len(axis.levels)])))
@@ -51,37 +49,23 @@ def one_by_one(runs: int) -> Job:
     return job
 
 
-def main(quick: bool = False, repetitions: int = 5) -> None:
-    """Measure the runs a second of a robustness study, on one core, in turns.
-
-    Parameters
-    ----------
-    quick
-        Two turns, to see that it runs.
-    repetitions
-        Turns that each way gets; two at most with --quick.
-    """
-    if repetitions < 1:
-        raise SystemExit(f"--repetitions must be at least 1; got {repetitions}.")
-    pin_to_one_core()
-    turns = min(repetitions, 2) if quick else repetitions
+def races(quick: bool = False) -> list[Race]:
+    """Return the race of batches, of as many runs as RealAIGym's and of more, against one run after the other."""
     settings = sum(len(axis.levels) for axis in (NOMINAL, *AXES))
     starts = -(-THEIRS // settings)
-    console = Console()
-    console.print(f"Python {platform.python_version()}, {version_of('numpy')}, {version_of('numba')}", highlight=False)
-    console.print(f"One core; best and median of {turns} turns.\n", highlight=False)
     few, many, single = f"{starts * settings} runs, {starts} starts", f"{100 * settings} runs, 100 starts", "one by one"
-    jobs = {few: batched(starts), many: batched(100), single: one_by_one(10 if quick else 40)}
-    title = f"Runs of {SECONDS:g} s of LQR balancing on RealAIGym's six axes, {settings} settings"
-    report(console, title, jobs, [(few, single, None), (many, single, None)], turns)
-    speed = max(race({few: jobs[few]}, turns)[few])
-    seconds = starts * settings / speed
-    console.print(
-        f"{few}: {seconds:.2f} s on one core, {speed * SECONDS:,.0f} times real time; "
-        f"asked for 20 s: {'met' if seconds <= 20 else 'MISSED'}",
-        highlight=False,
-        soft_wrap=True,
-    )
+    jobs = {few: batched(starts), single: one_by_one(10 if quick else 40)} | ({} if quick else {many: batched(100)})
+    title = f"LQR balancing on RealAIGym's six axes, {settings} settings, {SECONDS:g} s a run"
+    return [Race(title=title, counts="runs", jobs=jobs, pairs=[(few, single, None), (many, single, None)], turns=5)]
+
+
+def main(quick: bool = False) -> None:
+    """Measure the runs a second of a robustness study, on one core, in turns; ``--quick`` does two turns."""
+    pin_to_one_core()
+    console = Console()
+    console.print(f"{processor()}; {versions('numpy', 'numba')}.\n", highlight=False)
+    for race in races(quick):
+        show(console, run(race, 2 if quick else None))
 
 
 if __name__ == "__main__":

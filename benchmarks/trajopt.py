@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 import dpend
+from benchmarks.race import Job, Race
 from controllers import optimize, shipped, violations
 from controllers.codegen import find_compiler
 from controllers.trajopt import STARTS, Plugin, _guesses, _solved, _solver
@@ -71,6 +72,25 @@ def solve_times(solvers: dict[str, Plugin]) -> Table:
             f"{first[name]:.1f}",
         )
     return table
+
+
+def races(quick: bool = False) -> list[Race]:
+    """Return the race of both solvers to the trajectory of least effort, from a straight line."""
+    begin, force = STARTS["hanging"], float(np.max(RIG.force_limit))
+    guess = next(_guesses(begin, TARGET, 125, RIG, None, 1, np.random.default_rng(0)))
+
+    def job(plugin: Plugin) -> Job:
+        solver = _solver(RIG, 125, "effort", 0.1, force, plugin)
+
+        def solve() -> float:
+            _solved(solver, RIG, "effort", begin, TARGET, guess, force, track_margin=0.2, force_margin=0.0)
+            return 1.0
+
+        return solve
+
+    jobs = {"IPOPT": job("ipopt")} | ({} if quick or find_compiler() is None else {"fatrop on compiled C": job("auto")})
+    pairs: list[tuple[str, str, float | None]] = [("fatrop on compiled C", "IPOPT", None)]
+    return [Race(title="Swing-up of least effort, 125 samples", counts="solves", jobs=jobs, pairs=pairs, turns=5)]
 
 
 def minimum_times() -> Table:
