@@ -75,7 +75,7 @@ def main(
 
 def markdown(ratios: list[Ratio], machine: str) -> str:
     """Return the page of all tables, one a race."""
-    lines = ["# benchmarks: all tables"]
+    lines = ["# benchmarks: all tables", "", f"{machine}."]
     for title in dict.fromkeys(each.title for each in ratios):
         own = [each for each in ratios if each.title == title]
         lines += ["", f"## {title}", "", f"| {own[0].counts} | beside | 1/s | ratio [quartiles] | asked for |"]
@@ -83,9 +83,9 @@ def markdown(ratios: list[Ratio], machine: str) -> str:
         for each in own:
             asked = f"{each.asked:g}: {each.verdict}" if each.verdict else "–"
             spread = f"{each.ratio:.3g} [{each.low:.3g}, {each.high:.3g}]"
-            lines.append(f"| {' | '.join((each.ours, each.peer, f'{each.speed:,.3g}', spread, asked))} |")
+            lines.append(f"| {' | '.join((each.ours, each.peer, each.per_second, spread, asked))} |")
         busy = f"; a turn took {own[0].busy:.1f} times its processor time" if own[0].busy > BUSY else ""
-        lines += ["", f"{machine}{busy}."]
+        lines += ["", machine.partition(";")[0] + busy]
     return "\n".join([*lines, ""])
 
 

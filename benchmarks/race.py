@@ -54,6 +54,11 @@ class Ratio(NamedTuple):
     busy: float  # Wall clock by processor time; 1 on a quiet machine.
 
     @property
+    def per_second(self) -> str:
+        """The speed in words, to three digits."""
+        return f"{float(f'{self.speed:.3g}'):,g}" if self.speed < 1e3 else f"{float(f'{self.speed:.3g}'):,.0f}"
+
+    @property
     def verdict(self) -> str:
         """What may be said of what was asked for: met or missed, or that the turns do not tell."""
         if np.isnan(self.asked):
@@ -97,7 +102,7 @@ def show(console: Console, ratios: Sequence[Ratio]) -> None:
         for each in own:
             asked = "" if np.isnan(each.asked) else f"{each.asked:g}: {each.verdict}"
             spread = f"{each.ratio:.3g} [{each.low:.3g}, {each.high:.3g}]"
-            table.add_row(each.ours, each.peer, f"{each.speed:,.3g}", spread, asked)
+            table.add_row(each.ours, each.peer, each.per_second, spread, asked)
         console.print(table)
         if own[0].busy > BUSY:
             console.print(f"Something else ran beside: a turn took {own[0].busy:.1f} times its processor time.")
