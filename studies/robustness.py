@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
+from textwrap import fill
 from typing import get_args
 
 import numpy as np
@@ -54,6 +55,7 @@ MINUTES = 8
 
 TASKS: tuple[TaskName, ...] = get_args(TaskName)
 _STARTS_A_PLANT = 4
+_MOST = 6  # curves of a panel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,8 +258,10 @@ def _shares(table: Table, axes: Sequence[str], **fields: str) -> Curve:
 def _plot_axes(table: Table, task: TaskName) -> Figure:
     """Draw success against level: a row an axis, designed controllers on the left, learned ones on the right."""
     looks = _present(table, task)
-    sides = designed_and_learned(looks)
-    figure, axes = facets(len(GROUPS), len(sides), height=9.2, width=7.0, sharey=True, sharex="row")
+    sides = [part for side in designed_and_learned(looks) for part in _parts(side)]
+    figure, axes = facets(
+        len(GROUPS), len(sides), height=9.2 if len(sides) < 3 else 10.4, width=7.0, sharey=True, sharex="row"
+    )
     words = {axis.group: axis.words for axis in axes_of(table.rig)} | {"model": "error of one parameter, eight pooled"}
     for group, row in zip(GROUPS, axes, strict=True):
         of_group = (NOMINAL.name, *(PARAMETERS if group == "model" else (group,)))
@@ -265,36 +269,47 @@ def _plot_axes(table: Table, task: TaskName) -> Figure:
             drawn = {name: _shares(table, of_group, contender=name, task=task, part="axes") for name in side}
             curves(axis, drawn, looks, aside=0.0)
             share_axis(axis)
-            axis.set(xlabel=words[group], yticks=(0, 0.5, 1))
+            axis.set(xlabel=fill(words[group], 24 if len(sides) > 2 else 60), yticks=(0, 0.5, 1))
         if group == "model":
             row[0].xaxis.set_major_formatter(PercentFormatter(1.0))
         if group == "pulses":
             row[0].set_xscale("symlog", linthresh=0.02, linscale=0.4)
-            row[0].set(xlim=(-0.003, 1.15), xticks=(0, 0.02, 0.05, 0.1, 0.2, 0.5, 1))
+            row[0].set(xlim=(-0.003, 1.15), xticks=(0, 0.05, 0.2, 1))
             row[0].xaxis.set_major_formatter(FuncFormatter(lambda level, _: f"{level:g}"))
             row[0].minorticks_off()
         if group == "delay":
             row[0].set_xticks((0, 1, 2))
     for axis in axes[0]:
-        legend_above(axis, 2 if len(sides) > 1 else 4)
+        legend_above(axis, 1 if len(sides) > 2 else 2 if len(sides) > 1 else 4)
     figure.supylabel("runs that succeed", fontsize=8.5)
     return figure
 
 
+def _parts(names: list[str]) -> list[list[str]]:
+    """Return names in as few parts as there may be of six at most, which one can tell apart."""
+    count = -(-len(names) // _MOST)
+    size = -(-len(names) // count)
+    return [names[k : k + size] for k in range(0, len(names), size)]
+
+
 def _plot_plants(table: Table, tasks: Sequence[TaskName]) -> Figure:
-    """Draw plants in the order of success on them; and the mean, the worst tenth and the worst."""
+    """Draw plants in the order of success, for six contenders from best to worst; and everyone's mean and worst."""
     looks = {task: _present(table, task, "plants") for task in tasks}
     heights = [max(len(of), 6) + 3 for of in looks.values()]
     figure, axes = facets(len(tasks), 2, height=1.0 + 0.19 * sum(heights), width=7.0, height_ratios=heights)
     for (left, right), task in zip(axes, tasks, strict=True):
         found = {name: on_plants(table, name, task) for name in looks[task]}
-        for name, (shares, _, _) in found.items():
+        ranked = sorted(found, key=lambda name: -found[name][1].value)
+        for place in sorted({round(each) for each in np.linspace(0, len(ranked) - 1, _MOST)}):
+            name = ranked[place]
+            shares = found[name][0]
             places = (np.arange(len(shares)) + 0.5) / len(shares)
-            left.plot(places, np.sort(shares), color=looks[task][name][0], ls=looks[task][name][2], ds="steps")
+            colour, _, line = looks[task][name]
+            left.plot(places, np.sort(shares), color=colour, ls=line, ds="steps", label=name)
         forest(right, {name: mean for name, (_, mean, _) in found.items()}, looks[task], aside=-0.16)
         forest(right, {name: tail for name, (_, _, tail) in found.items()}, looks[task], aside=0.16, hollow=True)
         right.plot([shares.min() for shares, _, _ in found.values()], range(len(found)), "k|", ms=9)
-        left.set_title(_TITLES[task])
+        legend_above(left, 2, _TITLES[task])
         share_axis(left, "starts that succeed")
         left.set_yticks((0, 0.5, 1))
         for axis in (left, right):
