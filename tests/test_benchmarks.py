@@ -9,22 +9,26 @@ from benchmarks.__main__ import main
 from benchmarks.race import Race, Ratio, run
 
 
-def work(times):
-    def job():
-        sum(k * k for k in range(20_000 * times))
-        return 1.0
+def test_the_ratio_is_that_of_each_turn_in_processor_time_and_a_job_without_a_peer_has_none(monkeypatch):
+    clock = {"processor": 0.0, "wall": 0.0}
+    monkeypatch.setattr("benchmarks.race.process_time", lambda: clock["processor"])
+    monkeypatch.setattr("benchmarks.race.perf_counter", lambda: clock["wall"])
+    slower = iter([9.0, 9.0, 1.0, 1.0, 2.0, 2.0, 1.0, 1.0])  # factor of each job, in turns; the first is not timed
 
-    return job
+    def work(seconds):
+        def job():
+            clock["processor"] += (spent := seconds * next(slower))
+            clock["wall"] += 3 * spent
+            return 6.0
 
+        return job
 
-def test_a_job_that_does_a_third_of_the_work_is_three_times_as_fast_and_one_without_a_peer_has_no_ratio():
-    jobs = {"quick": work(1), "slow": work(3)}
-    race = Race(
-        title="race", counts="sums", jobs=jobs, pairs=[("quick", "slow", 2.0), ("quick", "absent", None)], turns=9
-    )
-    (ratio,) = run(race)
+    jobs = {"quick": work(1.0), "slow": work(3.0)}
+    pairs = [("quick", "slow", 2.0), ("quick", "absent", None)]
+    (ratio,) = run(Race(title="race", counts="sums", jobs=jobs, pairs=pairs), turns=3)
     assert (ratio.ours, ratio.peer, ratio.counts) == ("quick", "slow", "sums")
-    assert 2 < ratio.low <= ratio.ratio <= ratio.high < 4.5
+    assert ratio.low == ratio.ratio == ratio.high == pytest.approx(3.0)
+    assert (ratio.speed, ratio.busy) == pytest.approx((6.0, 3.0))
     assert ratio.verdict == "met"
 
 
