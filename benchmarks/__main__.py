@@ -81,9 +81,8 @@ def markdown(ratios: list[Ratio], machine: str) -> str:
         lines += ["", f"## {title}", "", f"| {own[0].counts} | beside | 1/s | ratio [quartiles] | asked for |"]
         lines += ["|---|---|---:|---:|---:|"]
         for each in own:
-            asked = f"{each.asked:g}: {each.verdict}" if each.verdict else "–"
-            spread = f"{each.ratio:.3g} [{each.low:.3g}, {each.high:.3g}]"
-            lines.append(f"| {' | '.join((each.ours, each.peer, each.per_second, spread, asked))} |")
+            cells = each.ours, each.peer, each.per_second, each.spread, each.asked_for or "–"
+            lines.append(f"| {' | '.join(cells)} |")
         busy = f"; a turn took {own[0].busy:.1f} times its processor time" if own[0].busy > BUSY else ""
         lines += ["", machine.partition(";")[0] + busy]
     return "\n".join([*lines, ""])

@@ -210,8 +210,9 @@ def ratios(quick: bool = False) -> list[Ratio]:
     """Return how many times as fast a step is here as in do-mpc, step by step but for the first; nothing without it."""
     if not find_spec("do_mpc"):
         return []
-    warnings.simplefilter("ignore")  # about its extras, and from CasADi about its use of numpy
-    seconds, _, _ = closed_loops({"dpend": ours()[0], "do-mpc": theirs()}, 8 if quick else STEPS)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # do-mpc's, about its extras, and CasADi's about do-mpc's use of numpy
+        seconds, _, _ = closed_loops({"dpend": ours()[0], "do-mpc": theirs()}, 8 if quick else STEPS)
     mine, other = (seconds[name][1:] for name in ("dpend", "do-mpc"))
     low, middle, high = np.quantile(other / mine, (0.25, 0.5, 0.75))
     speed = float(1 / np.median(mine))

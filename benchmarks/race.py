@@ -59,6 +59,16 @@ class Ratio(NamedTuple):
         return f"{float(f'{self.speed:.3g}'):,g}" if self.speed < 1e3 else f"{float(f'{self.speed:.3g}'):,.0f}"
 
     @property
+    def spread(self) -> str:
+        """The ratio with its quartiles."""
+        return f"{self.ratio:.3g} [{self.low:.3g}, {self.high:.3g}]"
+
+    @property
+    def asked_for(self) -> str:
+        """What was asked for and the verdict; nothing where nothing was."""
+        return f"{self.asked:g}: {self.verdict}" if self.verdict else ""
+
+    @property
     def verdict(self) -> str:
         """What may be said of what was asked for: met or missed, or that the turns do not tell."""
         if np.isnan(self.asked):
@@ -100,9 +110,7 @@ def show(console: Console, ratios: Sequence[Ratio]) -> None:
         own = [each for each in ratios if each.title == title]
         table = Table("", "peer", "1/s", "ratio [quartiles]", "asked", title=f"{title}: {own[0].counts}", **TITLE)
         for each in own:
-            asked = "" if np.isnan(each.asked) else f"{each.asked:g}: {each.verdict}"
-            spread = f"{each.ratio:.3g} [{each.low:.3g}, {each.high:.3g}]"
-            table.add_row(each.ours, each.peer, each.per_second, spread, asked)
+            table.add_row(each.ours, each.peer, each.per_second, each.spread, each.asked_for)
         console.print(table)
         if own[0].busy > BUSY:
             console.print(f"Something else ran beside: a turn took {own[0].busy:.1f} times its processor time.")
@@ -121,10 +129,10 @@ def processor() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         return platform.processor() or platform.machine()
-    told = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
-    flags = told.get("flags", "").split()
+    entries = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
+    flags = entries.get("flags", "").split()
     width = 512 if "avx512f" in flags else 256 if "avx2" in flags else 128
-    return f"{told.get('model name', platform.machine())}, {width}-bit vectors"
+    return f"{entries.get('model name', platform.machine())}, {width}-bit vectors"
 
 
 def versions(*packages: str) -> str:

@@ -1,9 +1,9 @@
 # pyright: reportMissingImports=false
 """PILCO itself: a Gaussian process of the plant, a policy of radial basis functions, exact moments between them.
 
-Run ``python -m examples.pilco --trials 12 --seed 0``; it needs JAX, of the extra ``jax``.  The plant is the single
-cart-pole on which the paper explains the algorithm: the double pendulum with a second link of a milligram, which has
-nobody to pull at.  State s = (p, θ, v, ω), θ = 0 upright; a trial is four seconds from hanging.  After each
+Run ``python -m examples.pilco --seed 0``; it needs JAX, of the extra ``jax``.  The plant is the single
+cart-pole on which the paper explains the algorithm: the double pendulum with a second link of a milligram, too
+light to move anything.  State s = (p, θ, v, ω), θ = 0 upright; a trial is four seconds from hanging.  After each
 
 1. the change of each component over a sample gets a Gaussian process of (p, v, ω, sin θ, cos θ, u), whose
    hyperparameters are of greatest marginal likelihood;
@@ -72,7 +72,7 @@ class Process(NamedTuple):
 def moments(process: Process, mean: Any, cov: Any) -> tuple[Any, Any, Any]:
     """Return mean ``(E,)`` and covariance ``(E, E)`` of a process at N(mean, cov), and its slope ``(D, E)``.
 
-    The covariance of input and output is ``cov @ slope``.  The thesis' equations 2.34 to 2.60.
+    The covariance of input and output is ``cov @ slope``.
     """
     apart, (outputs, size) = process.inputs - mean, process.scales.shape
     eye = jnp.eye(size)
@@ -257,8 +257,7 @@ def transitions(run: dpend.Run) -> tuple[np.ndarray, np.ndarray]:
     """Return what a model learns from: inputs ``(n, 6)`` and the change of (p, θ, v, ω) ``(n, 4)``."""
     states = run.y[:, [0, 1, 3, 4]]
     seen = np.column_stack([states[:, [0, 2, 3]], np.sin(states[:, 1]), np.cos(states[:, 1])])
-    count = len(run.u) - (len(states) == len(run.u))
-    return np.column_stack([seen[:count], run.u[:count]]), np.diff(states, axis=0)[:count]
+    return np.column_stack([seen[:-1], run.u]), np.diff(states, axis=0)
 
 
 def stands(run: dpend.Run) -> bool:
@@ -273,7 +272,7 @@ def learn(options: Options) -> Iterator[tuple[Policy, dpend.Run]]:
     rng = np.random.default_rng(options.seed)
     runs = [trial(lambda t, x: float(rng.uniform(-FORCE, FORCE)), rng)]
     policy = Policy(
-        centres=jnp.asarray(rng.standard_normal((options.basis, 5)) * [0.1, 0.1, 0.1, 0.1, 0.1] + [0, 0, 0, 0, -1]),
+        centres=jnp.asarray(0.1 * rng.standard_normal((options.basis, 5)) + [0, 0, 0, 0, -1]),
         values=jnp.asarray(0.1 * rng.standard_normal(options.basis)),
         log_scales=jnp.log(jnp.array([1.0, 1.0, 1.0, 0.7, 0.7])),
     )

@@ -408,7 +408,7 @@ def _plot_gains(
     """Draw what the ladder saves, and what each of it saves beyond the baseline: what a nonlinear law can gain."""
     figure, ((left, right),) = facets(1, 2, height=3.9)
     base = success[BASELINE]
-    gains = {name: curve for name, curve in gains.items() if name != "DDPG balance"}  # six can be told apart
+    gains = {name: curve for name, curve in gains.items() if name != "DDPG balance"}  # a seventh curve is too many
     saved_by_angle(left, {name: success[name] for name in LADDER if name == BASELINE or name in gains}, looks)
     best_known(left, known, BEST_KNOWN)
     right.axhline(0.0, color=looks[BASELINE][0], lw=1.0)

@@ -286,7 +286,7 @@ def _plot_axes(table: Table, task: TaskName) -> Figure:
 
 
 def _parts(names: list[str]) -> list[list[str]]:
-    """Return names in as few parts as there may be of six at most, which one can tell apart."""
+    """Return names in as few parts as possible of at most six, so that curves can be told apart."""
     count = -(-len(names) // _MOST)
     size = -(-len(names) // count)
     return [names[k : k + size] for k in range(0, len(names), size)]

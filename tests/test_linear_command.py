@@ -126,3 +126,14 @@ def test_an_unknown_learner_and_a_setting_that_it_lacks_are_refused(told, capsys
     with pytest.raises(SystemExit, match="2"):
         main(told)
     assert told[-2] in capsys.readouterr().err
+
+
+def test_help_fits_a_screen_and_says_where_the_settings_of_deep_learners_are(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        train.main(["--help"])
+    brief = capsys.readouterr().out
+    assert len(brief.splitlines()) <= 24
+    assert "--algo ppo --help" in brief
+    with pytest.raises(SystemExit, match="0"):
+        train.main(["--algo", "ppo", "--help"])
+    assert "--target-kl" in capsys.readouterr().out
