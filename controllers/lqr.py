@@ -15,11 +15,11 @@ from scipy.linalg import solve, solve_continuous_are, solve_discrete_are
 from dpend.arguments import checked_array, checked_name, checked_positive, is_finite
 from dpend.controller import Act, Controller, Law
 from dpend.deprecation import renamed_arguments
-from dpend.laws import holding
+from dpend.laws import holding, linear_law
 from dpend.linear import discretize, linearize
 from dpend.params import Array
 from dpend.rig import Rig, single_rig
-from dpend.state import NAMES, as_equilibrium, deviation
+from dpend.state import NAMES, as_equilibrium
 
 from .wrapping import Wrapper
 
@@ -112,9 +112,7 @@ class LinearLaw:
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
-        gain, target = self.K[0], self.target
-        # A matrix product would round a row differently in batches of different size.
-        return holding(n, lambda t, y: -np.einsum("ij,j->i", deviation(y, target), gain))
+        return holding(n, linear_law(self.K[0], self.target))
 
 
 @renamed_arguments(about="target")

@@ -263,6 +263,21 @@ def _row(x, i):
 
 
 @compiled
+def linear_forces(y, target, K, u):
+    r"""Fill in :math:`u = -K(y - y^*)` for states ``(n, 6)``, with both angles taken to the nearest whole turn.
+
+    The terms are added up in order, so that a row has the same force in every batch.
+    """
+    for i in range(len(u)):
+        total = K[0] * (y[i, 0] - target[0])
+        total += K[1] * wrap_angle(y[i, 1] - target[1])
+        total += K[2] * wrap_angle(y[i, 2] - target[2])
+        for d in range(3, 6):
+            total += K[d] * (y[i, d] - target[d])
+        u[i] = -total
+
+
+@compiled
 def status_codes(x, track_limit, limit1, limit2, codes):
     """Fill in the status codes of states ``(n, 6)`` for bounds on position, one or one a row, and angles.
 

@@ -24,13 +24,26 @@ def with_logs(act: Act, *logs: MutableMapping[str, Any]) -> Act:
     return act
 
 
-def holding(n: int, law: Act) -> Act:
+def linear_law(K: Array, target: Array) -> Act:
+    """Return the law :math:`u = -K(y - y^*)` of a gain ``(6,)`` and a target ``(6,)``, angles to the nearest turn."""
+    from .kernels import linear_forces  # numba loads with the first law at work, not with `from controllers import LQR`
+
+    def act(_: float, y: Array) -> Array:
+        u = np.empty(len(y))
+        linear_forces(y, target, K, u)
+        return u
+
+    return act
+
+
+def holding(n: int, law: Act, before: float = 0.0) -> Act:
     """Return a law for which the last finite measurement of a row counts where one is not finite.
 
-    A row has no force before its first finite measurement.  From the first that is missing on, the log holds under
-    ``held``, call by call, in which rows an older measurement counted.
+    A row has no force before its first finite measurement, which until then is six times ``before`` to the law.  From
+    the first that is missing on, the log holds under ``held``, call by call, in which rows an older measurement
+    counted.
     """
-    last, seen = np.zeros((n, 6)), np.zeros(n, dtype=np.bool_)
+    last, seen = np.full((n, 6), before), np.zeros(n, dtype=np.bool_)
     log, missing_in = watch(n)
 
     def act(t: float, y: Array) -> Array:

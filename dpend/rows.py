@@ -11,6 +11,7 @@ from multiprocessing import parent_process
 import numpy as np
 
 _PARTS = 4  # for each thread, as some rows take longer than others
+_MOST_ROWS = 64  # of a part: an interrupt is heard between parts, and rows may take some milliseconds
 
 
 def row_generators(rng: np.random.Generator, n: int) -> list[np.random.Generator]:
@@ -68,14 +69,19 @@ def in_parts(work: Callable[[int, int], object], n: int, least: int = 4) -> None
         Rows for which a thread pays.
     """
     threads = min(_cores(), n // least)
-    if threads <= 1:
-        work(0, n)
-        return
-    parts = min(_PARTS * threads, n // least)
+    parts = max(min(_PARTS * threads, n // least) if threads > 1 else 1, -(-n // _MOST_ROWS))
     bounds = [n * part // parts for part in range(parts + 1)]
+    if threads <= 1:
+        for each in itertools.pairwise(bounds):
+            work(*each)
+        return
     with ThreadPoolExecutor(threads) as executor:  # which takes less than a row of work
-        for done in [executor.submit(work, *each) for each in itertools.pairwise(bounds)]:
-            done.result()
+        try:
+            for done in [executor.submit(work, *each) for each in itertools.pairwise(bounds)]:
+                done.result()
+        except BaseException:
+            executor.shutdown(cancel_futures=True)  # those not begun are not waited for
+            raise
 
 
 def _cores() -> int:

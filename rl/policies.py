@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from dpend import archive
 from dpend.arguments import checked_array, checked_mapping, checked_path, checked_positive
 from dpend.controller import Act
-from dpend.laws import holding
+from dpend.laws import holding, linear_law
 from dpend.params import Array
 from dpend.shaping import observe
 from dpend.state import nearest_upright
@@ -158,9 +158,7 @@ class GainPolicy(Saved):
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for ``n`` runs."""
-        K = self.K
-        # A matrix product would round a row differently in batches of different size.
-        return holding(n, lambda t, y: -np.einsum("ij,j->i", nearest_upright(y), K))
+        return holding(n, linear_law(self.K, np.zeros(6)))
 
 
 INDICATORS: Mapping[str, int] = MappingProxyType({"none": 0, "signs": 3, "cells": 8})
@@ -434,7 +432,7 @@ class MLPPolicy(Saved):
                 due = t + period * (1 - 1e-6)
             return force_limit * last
 
-        return holding(n, act)
+        return holding(n, act, before=np.nan)  # an action of NaN is not recalled
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what is saved, by name.

@@ -156,7 +156,7 @@ def inside(name: str) -> set[str]:
         ("tasks", {"arguments", "deprecation", "kernels", "params", "rig", "state", "suggest"}),
         ("stepper", {"arguments", "kernels", "params", "rig", "state"}),
         ("controller", {"params"}),
-        ("laws", {"controller", "params"}),
+        ("laws", {"controller", "kernels", "params"}),
         ("workers", {"arguments"}),
         ("check", {"arguments", "controller", "params", "rig", "simulate", "stepper", "suggest", "tasks"}),
     ],

@@ -13,10 +13,11 @@ from rigs import endless, random_params, random_states, whole
 from scipy.linalg import solve_discrete_lyapunov
 
 import dpend
-from controllers import LQR, BangBang, Constant, Margins, Zero
+from controllers import LQR, BangBang, Constant, LinearLaw, Margins, Zero
 from dpend import Balance, Stepper, discretize, linearize
 from dpend.params import Array
 from dpend.rig import Rig
+from dpend.state import deviation
 
 RNG = np.random.default_rng(0)
 PRESETS = tuple(dpend.rigs())
@@ -415,3 +416,14 @@ def test_margins_settle_as_the_sampling_grows_fast(sample_time: float) -> None:
     assert margins.disk == pytest.approx(0.67, abs=0.02)
     assert margins.delay == pytest.approx(0.0485, abs=0.002)
     assert margins.delay_samples == pytest.approx(margins.delay / sample_time)
+
+
+@pytest.mark.parametrize("target", dpend.EQUILIBRIA)
+def test_a_linear_law_is_its_gain_times_the_deviation_to_the_nearest_turn_alone_and_in_a_batch(target: str) -> None:
+    rng = np.random.default_rng(0)
+    law = LinearLaw(rng.normal(size=6), target=target)
+    y = rng.normal(scale=4.0, size=(70, 6))
+    forces = law.start(len(y), rng)(0.0, y)
+    assert_allclose(forces, -deviation(y, law.target) @ law.K[0], rtol=1e-13, atol=1e-13)
+    for i in range(len(y)):
+        assert law.start(1, rng)(0.0, y[i : i + 1])[0] == forces[i]

@@ -100,8 +100,7 @@ def test_a_policy_has_no_force_before_its_first_measurement_and_that_of_the_last
     act, twin = (LAWS[kind].start(1, np.random.default_rng(0)) for _ in range(2))
     missing, y = np.full((1, 6), np.nan), states(1)
     assert act(0.0, missing) == 0
-    twin(0.0, np.zeros((1, 6)))  # what recalls its last action believes to have been at rest
-    assert act(0.1, y) == twin(0.1, y)
+    assert act(0.1, y) == twin(0.1, y)  # what recalls its last action recalls none
     assert act(0.2, missing) == twin(0.2, y) != 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -62,6 +63,25 @@ def test_what_fails_in_a_thread_fails_for_the_caller(monkeypatch: pytest.MonkeyP
 
     with pytest.raises(ValueError, match=whole("row 99")):
         rows.in_parts(work, 100)
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_after_an_interrupt_no_further_part_begins(cores: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rows, "_cores", lambda: cores)
+    begun, interrupted = [], threading.Event()
+
+    def work(first: int, last: int) -> None:
+        begun.append(last - first)
+        if first == 0:
+            interrupted.set()
+            raise KeyboardInterrupt
+        interrupted.wait()
+        time.sleep(0.05)
+
+    with pytest.raises(KeyboardInterrupt):
+        rows.in_parts(work, 10_000)
+    assert max(begun) <= 64
+    assert sum(begun) < 1000
 
 
 def test_a_worker_process_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
