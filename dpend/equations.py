@@ -17,13 +17,24 @@ friction added.
 """
 
 
-def make_rates(sin, cos):
+def coulomb(vel, c):
+    r"""Return the Coulomb friction of the cart, :math:`F_c v / \sqrt{v^2 + v_s^2}`."""
+    return c.coulomb * vel / (vel * vel + c.coulomb_speed * c.coulomb_speed) ** 0.5
+
+
+def no_coulomb(_vel, _c):
+    """Return the Coulomb friction of a cart that has none."""
+    return 0.0
+
+
+def make_rates(sin, cos, coulomb=coulomb):
     r"""Build :math:`\dot x = (\dot q, D^{-1}(f - f_\text{friction} - C\dot q - G))`.
 
     The cart is eliminated first, so what is left to invert is the 2 x 2 matrix of the links.
 
     ``rates(x, f, c)`` returns six time derivatives, given state, generalised forces and coefficients; ``sin`` and
-    ``cos`` are those for the kind of number that the result is to take.
+    ``cos`` are those for the kind of number that the result is to take, and so is :func:`coulomb`, for which
+    :func:`no_coulomb` may stand where there is no such friction.
     """
 
     def rates(x, f, c):
@@ -36,11 +47,13 @@ def make_rates(sin, cos):
         c12 = c1 * c2 + s1 * s2
 
         # Forces and torques on the right-hand side: what is applied, centrifugal, gravity, friction.
-        cart_friction = c.b0 * vel + c.coulomb * vel / (vel * vel + c.coulomb_speed * c.coulomb_speed) ** 0.5
+        cart_friction = c.b0 * vel + coulomb(vel, c)
         joint_friction = c.b2 * (om2 - om1)
-        r0 = f[0] + c.d2 * s1 * om1 * om1 + c.d3 * s2 * om2 * om2 - cart_friction
-        r1 = f[1] + c.f1 * s1 - c.d5 * s12 * om2 * om2 - c.b1 * om1 + joint_friction
-        r2 = f[2] + c.f2 * s2 + c.d5 * s12 * om1 * om1 - joint_friction
+        w1 = om1 * om1
+        w2 = om2 * om2
+        r0 = f[0] + c.d2 * s1 * w1 + c.d3 * s2 * w2 - cart_friction
+        r1 = f[1] + c.f1 * s1 - c.d5 * s12 * w2 - c.b1 * om1 + joint_friction
+        r2 = f[2] + c.f2 * s2 + c.d5 * s12 * w1 - joint_friction
 
         # Block elimination of D = [[d1, d2 c1, d3 c2], [., d4, d5 c12], [., ., d6]].
         # Reciprocals, because division takes several times as long as multiplication.

@@ -2,7 +2,7 @@ r"""The numba instances of the equations, one batched plant step and one scalar 
 
 What makes the batch fast (``benchmarks/simulator.py`` measures the whole): the loop over rows is innermost and runs
 over a small local block, so LLVM turns it into vector instructions; everything it calls is inlined by force; division
-does not check for zero; and sine and cosine are polynomials of our own, because the library's do not vectorise.
+does not check for zero; and sine and cosine are polynomials, because the library's do not vectorise.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from . import episode, equations, state
 from .cache import NotPrivate, private_folder
 from .params import Coefficients
 from .provenance import fingerprint
+from .trigonometry import make_sines
 
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
 """How numba compiles, everywhere."""
@@ -72,7 +73,7 @@ def compiled(function: Callable[..., Any], sources: Iterable[Path] = (), key: st
     """
     here = Path(__file__).parent
     package = Path(function.__code__.co_filename).parent
-    own = ("equations.py", "episode.py", "params.py", "state.py", "status.py", "kernels.py")
+    own = ("equations.py", "trigonometry.py", "episode.py", "params.py", "state.py", "status.py", "kernels.py")
     every = {*(here / name for name in own), *([package] if package != here else []), *sources}
     before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
     dispatcher = numba.njit(**OPTIONS)(function)
@@ -89,60 +90,10 @@ def compiled(function: Callable[..., Any], sources: Iterable[Path] = (), key: st
     return dispatcher
 
 
-# pi = _PI_HIGH + _PI_MIDDLE + _PI_LOW; the first two have 33 bits each, so their products with a number of half turns
-# below 2^20 are exact and the reduced angle keeps full accuracy.
-_PI_HIGH = float.fromhex("0x1.921fb544p+1")
-_PI_MIDDLE = float.fromhex("0x1.0b4611a6p-33")
-_PI_LOW = float.fromhex("0x1.3198a2e037073p-68")
-_SIN = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(10))
-_COS = tuple((-1) ** k / math.factorial(2 * k) for k in range(11))
-
-
-@inline
-def _reduced(angle):
-    """Return the difference to the nearest half turn, and the sign that so many half turns give sine and cosine."""
-    half_turns = np.rint(angle * (1.0 / math.pi))
-    remainder = ((angle - half_turns * _PI_HIGH) - half_turns * _PI_MIDDLE) - half_turns * _PI_LOW
-    turns = 0.5 * half_turns
-    return remainder, 1.0 - 4.0 * abs(turns - np.rint(turns))
-
-
-@inline
-def sin(angle):
-    """Sine by its Taylor polynomial of degree 19 within a quarter turn; error below 5e-16 for angles up to 30."""
-    y, sign = _reduced(angle)
-    z = y * y
-    p = _SIN[9]
-    p = p * z + _SIN[8]
-    p = p * z + _SIN[7]
-    p = p * z + _SIN[6]
-    p = p * z + _SIN[5]
-    p = p * z + _SIN[4]
-    p = p * z + _SIN[3]
-    p = p * z + _SIN[2]
-    p = p * z + _SIN[1]
-    return sign * (y + y * z * p)
-
-
-@inline
-def cos(angle):
-    """Cosine by its Taylor polynomial of degree 20 within a quarter turn; error below 5e-16 for angles up to 30."""
-    y, sign = _reduced(angle)
-    z = y * y
-    p = _COS[10]
-    p = p * z + _COS[9]
-    p = p * z + _COS[8]
-    p = p * z + _COS[7]
-    p = p * z + _COS[6]
-    p = p * z + _COS[5]
-    p = p * z + _COS[4]
-    p = p * z + _COS[3]
-    p = p * z + _COS[2]
-    p = p * z + _COS[1]
-    return sign * (1.0 + z * p)
-
-
-rates = inline(equations.make_rates(sin, cos))
+sin, cos = make_sines(np.rint, inline)
+rates = inline(equations.make_rates(sin, cos, inline(equations.coulomb)))
+rates_without_coulomb = inline(equations.make_rates(sin, cos, inline(equations.no_coulomb)))
+"""The same bits where there is no Coulomb friction, without its root and division."""
 axpy = inline(equations.axpy)
 acceleration_slopes = inline(equations.make_acceleration_slopes(sin, cos))
 
@@ -161,6 +112,7 @@ def make_sample(rates: Any) -> Any:
 
 
 rk4 = inline(equations.make_rk4(rates, axpy))
+_rk4_without_coulomb = inline(equations.make_rk4(rates_without_coulomb, axpy))
 sample = make_sample(rates)
 """The scalar step of the plant."""
 
@@ -215,7 +167,11 @@ def plant_step(x, f, coefficients, h, substeps):
                 block[k * _BLOCK + j] = x[start + j, k]
             for k in range(3):
                 block[(6 + k) * _BLOCK + j] = f[start + j, k]
-        if shared:
+        if shared and c.coulomb == 0.0:
+            for _ in range(substeps):
+                for j in range(m):
+                    _set_state(block, j, _rk4_without_coulomb(_state_at(block, j), _forces_at(block, j), c, h))
+        elif shared:
             for _ in range(substeps):
                 for j in range(m):
                     _set_state(block, j, rk4(_state_at(block, j), _forces_at(block, j), c, h))

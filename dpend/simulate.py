@@ -277,7 +277,8 @@ def _simulate_block(
     upright.begin(x0)
     if states_kept is not None:
         states_kept[:, 0] = x0, y
-    if not alive.all():
+    all_alive = bool(alive.all())
+    if not all_alive:
         y[~alive] = stepper.reset(np.zeros(6), ~alive)
     u = np.zeros(n)
     not_finite: list[tuple[int, npt.NDArray[np.bool_]]] = []
@@ -299,7 +300,7 @@ def _simulate_block(
             steps[alive], codes[alive], final[alive] = k, Status.CONTROLLER_FAILED.code, stepper.x[alive]
             alive[:] = False
             break
-        if not alive.all():
+        if not all_alive:
             u[~alive] = 0.0
         if not np.isfinite(u).all():
             bad = ~np.isfinite(u)
@@ -311,13 +312,14 @@ def _simulate_block(
         forces[k] = stepper.force
         if pushes is not None:
             pushes[k] = pushed
-        np.fmax(travel, np.abs(x[:, 0]), out=travel, where=alive)  # noise and pushes move what is parked
+        # Noise and pushes move what is parked.
+        np.fmax(travel, np.abs(x[:, 0]), out=travel, where=True if all_alive else alive)
         if states_kept is not None:
             states_kept[:, k + 1] = x, y
         upright.tick(x)
         ended = task.ended(x, rig)
-        ending = alive & (ended != 0)
-        if ending.any():
+        if ended.any() and (ending := alive & (ended != 0)).any():
+            all_alive = False
             codes[ending] = ended[ending]
             steps[ending] = k + 1
             final[ending] = x[ending]

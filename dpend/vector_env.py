@@ -147,6 +147,7 @@ class CartDoublePendulumVectorEnv(  # pyright: ignore[reportIncompatibleVariable
             checked_name("autoreset_mode", autoreset_mode, [mode.value for mode in AutoresetMode])
         self._mode = AutoresetMode(autoreset_mode)
         self.metadata = self.metadata | {"autoreset_mode": self._mode}
+        self._rig_each = self.rig.n is not None
         self._steps = np.zeros(num_envs, dtype=np.int64)
         self._force_limits = np.full(self.num_envs, self.rig.force_limit)
         self._over: Indices = np.empty(0, dtype=np.intp)
@@ -274,7 +275,7 @@ class CartDoublePendulumVectorEnv(  # pyright: ignore[reportIncompatibleVariable
 
     def _starts(self, rows: Indices) -> Array:
         """Draw initial states; as many ahead as there are copies, since a few episodes end at every step."""
-        if self.rig.n is not None:
+        if self._rig_each:
             return self.task.starts(self.np_random, self.num_envs, self.rig)[rows]
         self._used += len(rows)
         if self._used > len(self._ahead):

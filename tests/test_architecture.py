@@ -148,7 +148,7 @@ def inside(name: str) -> set[str]:
         ("arguments", set()),
         ("state", {"arguments", "params", "suggest"}),
         ("episode", {"status"}),
-        ("kernels", {"cache", "episode", "equations", "params", "provenance", "state", "status"}),
+        ("kernels", {"cache", "episode", "equations", "params", "provenance", "state", "status", "trigonometry"}),
         ("symbolic", {"equations", "params", "rig"}),
         ("plant", {"arguments", "equations", "params", "state"}),
         ("linear", {"arguments", "params", "plant", "state"}),

@@ -427,6 +427,16 @@ def test_sine_and_cosine_of_what_is_no_angle_are_nan() -> None:
     assert np.isnan(_sines_and_cosines(np.array([np.nan, np.inf, -np.inf]))).all()
 
 
+def test_without_coulomb_friction_a_step_has_the_same_bits_as_where_each_row_might_have_some() -> None:
+    rng = np.random.default_rng(12)
+    c = np.array([random_params(rng).coefficients()._replace(coulomb=0.0)], dtype=float)
+    x, f = random_states(rng, 300), random_forces(rng, 300)
+    shared, own = x.copy(), x.copy()
+    kernels.plant_step(shared, f, c, 0.01, 3)
+    kernels.plant_step(own, f, np.repeat(c, 300, axis=0), 0.01, 3)
+    np.testing.assert_array_equal(shared, own)
+
+
 @pytest.mark.parametrize("own", [False, True], ids=["one plant for all", "one plant a row"])
 def test_a_state_that_is_nan_stays_nan_and_leaves_its_neighbours_alone(own: bool) -> None:
     rng = np.random.default_rng(10)
