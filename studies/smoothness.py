@@ -6,8 +6,8 @@ learned with and without some.  Measured is the force over the whole of the runs
 on the starts that both save.  Medians with 95 % order-statistic intervals; success with Wilson's.
 
 Finding: the task does not need bang-bang forces.  At λ = 0.3 the sign of a stiff LQR saves 88.8 % of 400 starts and LQR
-86.2 %, one training each of Q-learning, without a², 84.8 % and of LSPI, with it, 85.0 %.  The two of ±40 N have 403
-[361, 453] and 419 [376, 459] times LQR's variation on the starts that both save (84 and 85 times with sensor noise),
+86.2 %, one training each of Q-learning, without a², 84.8 % and of LSPI, with it, 85.0 %.  The two of ±40 N have 405
+[365, 452] and 419 [379, 455] times LQR's variation on the starts that both save (84 and 85 times with sensor noise),
 change sign 39 times a second (LQR 0.5), spend 9600 N² s (LQR 56), and are saturated all the time.  No device helps: a
 low-pass at 8 Hz leaves half of the variation and saves 81.2 %, a rate limit of 800 N/s saves none.
 """
