@@ -2,10 +2,10 @@
 """How fast the plant runs in each language: one process and one core for each, in turns, in one run.
 
 ``python -m benchmarks.backends`` prints the table and the ratios.  Scalar steps are Runge-Kutta steps one after the
-other, many a call: numba's scalar step; C by the compiler ``cc`` and JavaScript in node, with the sines of their
-libraries and with sines written out.  Batches are the closed loop with LQR of 4096 pendulums, every Runge-Kutta step
-counted: ``simulate_many``, and ``dpend.jax_plant.rollout`` in double precision (extra ``jax``).  What is not installed
-is left out.
+other, many a call: numba's scalar step; and C by the compiler ``cc`` and JavaScript in node, as they are emitted and
+with the sines of their libraries.  C is compiled as numba compiles, "native", and with ``-O2`` alone.  Batches are the
+closed loop with LQR of 4096 pendulums, every Runge-Kutta step counted: ``simulate_many``, and
+``dpend.jax_plant.rollout`` in double precision (extra ``jax``).  What is not installed is left out.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import tempfile
 from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +36,10 @@ SCALAR, BATCH = "numba, scalar step", f"numba, simulate_many, {COPIES} rows"
 RIG = dpend.rig("gustafsson2016")
 _START = (0.0, 0.2, -0.1, 0.0, 0.0, 0.0)  # from where the links fall, again and again
 
-# The second as numba compiles: for this processor, with fused multiply-adds, without errno.
-_NATIVE = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math")
-_BUILDS = {"C, sines library, -O2": ("library", ("-O2",)), "C, sines inline, -O3 native": ("inline", _NATIVE)}
+# For this processor and with fused multiply-adds, as numba compiles.
+_FLAGS = {"native": ("-O3", "-march=native", "-ffp-contract=fast"), "-O2": ("-O2",)}
+_ROLLOUT = f", rollout, {COPIES} rows"
+_SINES = {"inline": "", "library": ", sines of the library"}
 
 _C = """
 double run(long n)
@@ -89,15 +91,15 @@ def scalar_jobs(steps: int, folder: Path) -> dict[str, Job]:
         return steps
 
     jobs: dict[str, Job] = {SCALAR: lambda: counted(SCALAR, _run(steps, c))}
-    for name, (sines, options) in _BUILDS.items() if shutil.which("cc") else ():
-        source, library = folder / "run.c", folder / f"{sines}.so"
+    for sines, flags in product(SINES, _FLAGS) if shutil.which("cc") else ():
+        source, library, name = folder / "run.c", folder / f"{sines}{flags}.so", f"C, {flags}{_SINES[sines]}"
         source.write_text(plant("c", RIG, sines=sines) + _C.replace("START", f"{{{start}}}"))
-        subprocess.run(["cc", "-std=c99", *options, "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
+        subprocess.run(["cc", "-std=c99", *_FLAGS[flags], "-shared", "-fPIC", source, "-o", library, "-lm"], check=True)
         run: Any = ctypes.CDLL(str(library)).run
         run.restype, run.argtypes = ctypes.c_double, [ctypes.c_long]
         jobs[name] = lambda name=name, run=run: counted(name, run(steps))
     for sines in SINES if shutil.which("node") else ():
-        module, name = folder / f"{sines}.mjs", f"JavaScript, sines {sines}"
+        module, name = folder / f"{sines}.mjs", f"JavaScript{_SINES[sines]}"
         module.write_text(plant("js", RIG, sines=sines) + _JAVASCRIPT.replace("START", start))
         process: Any = subprocess.Popen(["node", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
@@ -132,17 +134,17 @@ def batch_jobs(samples: int) -> dict[str, Job]:
             loop(x0).block_until_ready()
             return steps
 
-        jobs[f"JAX on {jax.default_backend()}, rollout, {COPIES} rows"] = rolled
+        jobs[f"JAX on {jax.default_backend()}{_ROLLOUT}"] = rolled
     return jobs
 
 
 def races(folder: Path, quick: bool = False) -> list[Race]:
     """Return the races of single steps and of closed loops; libraries are compiled into a folder that must stay."""
     single, batch = scalar_jobs(20_000 if quick else 1_000_000, folder), batch_jobs(10 if quick else SAMPLES)
-    asked = {"C": 1.0, "JavaScript": 0.1, "JAX": 0.2}
+    asked = {"C, native": 1.0, "JavaScript": 0.1, f"JAX on cpu{_ROLLOUT}": 0.2}
 
     def race(title: str, jobs: dict[str, Job], peer: str) -> Race:
-        pairs = [(name, peer, asked[name.split(",")[0].split()[0]]) for name in jobs if name != peer]
+        pairs = [(name, peer, asked.get(name)) for name in jobs if name != peer]
         return Race(title=title, counts="Runge-Kutta steps", jobs=jobs, pairs=pairs, elsewhere=True)
 
     return [race("Languages, one step after the other", single, SCALAR), race("Languages, LQR in a loop", batch, BATCH)]

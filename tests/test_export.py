@@ -6,7 +6,7 @@ import re
 import runpy
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,7 @@ FOLDED = np.array([0.4, 0.0, np.pi, 0.0, 0.0, 0.0])
 STARTS = {"TVLQR by time": dpend.EQUILIBRIA["down-down"], "LQR of the folded links": FOLDED + 0.05 * np.eye(6)[1]}
 """Where loops start, if not within 0.1 rad of upright."""
 SAMPLES = 300
+UNLIMITED = RIG.replace(track_limit=np.inf)
 
 
 def wavering(t: Any, x: Any) -> Any:
@@ -83,7 +84,9 @@ LAWS: dict[str, Callable[[], Any]] = {
     },
 }
 JUMPS = {"sign of LQR", "tuned sign", "q-tuned"}
-"""Their loops magnify a rounding: between two jumps of the force nothing holds them to a motion."""
+"""Bang-bang laws: between two jumps of the force nothing holds their loops to a motion, so that roundings grow."""
+HEAP = re.compile(r"\b(m|c|re)alloc\b|\bfree\b")
+X0 = np.array([0.0, 0.08, -0.06, 0.0, 0.0, 0.0])
 
 QUICK = {"LQR", "q-tuned", "ppo-swing-up", "differences", "rate limit"}
 
@@ -99,6 +102,7 @@ int main(void)
     if (fread(x, sizeof x, 1, stdin) != 1) return 1;
     for (k = 0; k < SAMPLES; k++) {
         f[0] = law_act(m, x);
+        fwrite(x, sizeof x, 1, stdout);
         fwrite(f, sizeof f[0], 1, stdout);
         dpend_sample(x, f, &dpend_rig, DPEND_SAMPLE_TIME / DPEND_SUBSTEPS, DPEND_SUBSTEPS);
     }
@@ -110,13 +114,27 @@ import { readFileSync, writeSync } from "node:fs";
 import { act, reset } from "./law.mjs";
 import { RIG, SAMPLE_TIME, SUBSTEPS, sample } from "./plant.mjs";
 const bytes = readFileSync(0), x = new Float64Array(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + 48));
-const m = reset(), forces = new Float64Array(SAMPLES);
+const m = reset(), rows = new Float64Array(7 * SAMPLES);
 for (let k = 0; k < SAMPLES; k++) {
-    forces[k] = act(m, x);
-    sample(x, [forces[k], 0, 0], RIG, SAMPLE_TIME / SUBSTEPS, SUBSTEPS, x);
+    const u = act(m, x);
+    rows.set([...x, u], 7 * k);
+    sample(x, [u, 0, 0], RIG, SAMPLE_TIME / SUBSTEPS, SUBSTEPS, x);
 }
-writeSync(1, Buffer.from(forces.buffer));
+writeSync(1, Buffer.from(rows.buffer));
 """
+
+
+def loop(
+    folder: Path, to: str, x0: Any, samples: int = SAMPLES, sources: Sequence[str] = ("law.c",)
+) -> tuple[Any, Any]:
+    """Return states and forces of a law and the plant in a loop, both in another language."""
+    if to == "c":
+        source = _C.replace("SAMPLES", str(samples))
+        command = foreign.build("gcc", folder, source, *(folder / name for name in sources))
+    else:
+        command = foreign.script(folder, _JAVASCRIPT.replace("SAMPLES", str(samples)))
+    rows = foreign.run(command, x0).reshape(samples, 7)
+    return rows[:, :6], rows[:, 6]
 
 
 def checked(folder: Path, to: str) -> str:
@@ -139,16 +157,30 @@ def test_an_exported_law_answers_and_balances_as_in_python(name: str, to: str, t
     law = LAWS[name]()
     folder = export(law, RIG, to, tmp_path)
     assert int(checked(folder, to).split()[0]) > 100
+    assert not HEAP.search("".join(each.read_text() for each in folder.glob("*.[ch]")))
     if name in JUMPS:
         return
-    if to == "c":
-        command = foreign.build("gcc", folder, _C.replace("SAMPLES", str(SAMPLES)), folder / "law.c")
-    else:
-        command = foreign.script(folder, _JAVASCRIPT.replace("SAMPLES", str(SAMPLES)))
-    x0 = STARTS.get(name, np.array([0.0, 0.08, -0.06, 0.0, 0.0, 0.0]))
-    expected = dpend.simulate(RIG.replace(track_limit=np.inf), law, x0, SAMPLES * RIG.sample_time, task=None).u
+    x0 = STARTS.get(name, X0)
+    expected = dpend.simulate(UNLIMITED, law, x0, SAMPLES * RIG.sample_time, task=None).u
     allowed = 1e-5 if hasattr(getattr(law, "controller", law), "network") else 1e-9
-    assert_allclose(foreign.run(command, x0) / 40, expected / 40, rtol=0, atol=allowed)
+    assert_allclose(loop(folder, to, x0)[1] / 40, expected / 40, rtol=0, atol=allowed)
+
+
+@pytest.mark.parametrize("to", ["c", "js"])
+@pytest.mark.parametrize("name", sorted(JUMPS))
+def test_every_sample_of_a_bang_bang_loop_is_pythons_and_its_forces_are_until_roundings_have_grown(
+    name: str, to: str, tmp_path: Path
+) -> None:
+    law = LAWS[name]()
+    x, u = loop(export(law, RIG, to, tmp_path), to, X0)
+    act, stepper = law.start(1, np.random.default_rng(0)), dpend.Stepper(UNLIMITED, SAMPLES - 1)
+    assert_array_equal(u, [act(k * RIG.sample_time, each[None])[0] for k, each in enumerate(x)])
+    stepper.reset(x[:-1])
+    assert_allclose(stepper.step(u[:-1]), x[1:], rtol=0, atol=1e-13)
+    run = dpend.simulate(UNLIMITED, law, X0, SAMPLES * RIG.sample_time, task=None)
+    assert_array_equal(u[:150], run.u[:150])  # where it was written the first 200 to 222 agree, 4 s
+    assert_allclose(x[:150], run.x[:150], rtol=0, atol=1e-5)  # 1e-12 after a second, 1e-9 after two
+    assert np.abs(x[:, 1:3]).max() < 0.3  # it balances, as Python's does
 
 
 STATES = """\
@@ -179,15 +211,20 @@ def test_an_estimator_alone_leaves_the_state_that_it_leaves_in_python(tmp_path: 
 
 
 @pytest.mark.slow  # a minute, most of it the compiler's
-def test_nmpc_in_c_answers_as_in_casadi_and_almost_as_nmpc(tmp_path: Path) -> None:
+def test_nmpc_in_c_answers_as_in_casadi_and_almost_as_nmpc_where_it_balances(tmp_path: Path) -> None:
     folder, nmpc = export(NMPC(RIG), RIG, "c", tmp_path), NMPC(RIG)
-    assert not re.search(r"\b[mc]alloc\(", (folder / "plan.c").read_text())
-    command = foreign.build("gcc", folder, _C.replace("SAMPLES", str(SAMPLES)), folder / "law.c", folder / "plan.c")
-    x0 = np.array([0.0, 0.08, -0.06, 0.0, 0.0, 0.0])
-    forces = foreign.run(command, x0) / 40
-    twin, fatrop = (dpend.simulate(RIG, law, x0, 6.0, task=None).u / 40 for law in (RealTimeNMPC(nmpc), nmpc))
-    assert_allclose(forces, twin, rtol=0, atol=1e-9)
-    assert_allclose(forces, fatrop, rtol=0, atol=1e-3)  # whose tolerance is 1e-4
+    assert not HEAP.search((folder / "plan.c").read_text())
+
+    def forces(x0: Any, samples: int) -> Any:
+        u = loop(folder, "c", x0, samples, ("law.c", "plan.c"))[1]
+        twin = dpend.simulate(UNLIMITED, RealTimeNMPC(nmpc), x0, samples * RIG.sample_time, task=None).u
+        assert_allclose(u / 40, twin / 40, rtol=0, atol=1e-9)
+        return u
+
+    fatrop = dpend.simulate(UNLIMITED, nmpc, X0, SAMPLES * RIG.sample_time, task=None).u
+    assert_allclose(forces(X0, SAMPLES) / 40, fatrop / 40, rtol=0, atol=1e-3)  # whose tolerance is 1e-4
+    forces(np.array([0.0, 0.3, -0.2, 0.0, 0.0, 0.0]), 40)  # which it loses, and NMPC does not
+    assert not forces(dpend.EQUILIBRIA["down-down"], 5).any()  # it finds no plan
 
 
 @pytest.mark.parametrize("name", ["ppo-swing-up", "ppo-swing-up-smooth", "ddpg-balance"])
@@ -213,8 +250,7 @@ def test_a_network_in_onnx_answers_and_balances_as_in_python(
             given.update({"last": results[1]} if given else {})
         return found[0]
 
-    x0 = np.array([0.0, 0.08, -0.06, 0.0, 0.0, 0.0])
-    loops = [dpend.simulate(RIG, each, x0, 6.0, task=None).u / 40 for each in (law, policy)]
+    loops = [dpend.simulate(RIG, each, X0, 6.0, task=None).u / 40 for each in (law, policy)]
     assert_allclose(*loops, rtol=0, atol=allowed)
 
 

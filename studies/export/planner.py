@@ -196,7 +196,13 @@ def _solver(program: Program, iterations: int) -> Any:
     lam_f, lam_g = casadi.MX.sym("lam_f"), casadi.MX.sym("lam_g", program.nlp["g"].numel())
     hessian = ours["nlp_hess_l"](w, p, lam_f, lam_g)[1]
     quiet = {"print_iteration": False, "print_header": False, "print_status": False, "print_time": False}
-    bounded = {"max_iter": _CHANGES, "print_iter": False, "print_header": False, "print_info": False}
+    bounded = {
+        "max_iter": _CHANGES,
+        "error_on_fail": False,
+        "print_iter": False,
+        "print_header": False,
+        "print_info": False,
+    }
     options = {
         "qpsol": "qrqp",
         "qpsol_options": bounded,

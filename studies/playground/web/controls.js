@@ -24,7 +24,7 @@ export class Controls {
         form.append(
             this.group(
                 "Who balances what",
-                this.choice("left", "Left pendulum", "Its controller; the line is its colour everywhere."),
+                this.choice("left", "Left pendulum", "Its controller, drawn in the same colour everywhere."),
                 this.choice(
                     "right",
                     "Right pendulum",
@@ -33,7 +33,7 @@ export class Controls {
                 this.choice(
                     "task",
                     "Task",
-                    "Balance ends when a link falls, swinging up at the track’s end only; no task just goes on.",
+                    "Balancing ends when a link falls; swinging up, only at the end of the track; without a task it goes on.",
                 ),
                 this.choice("rig", "Rig", "The plant, with the masses, lengths and limits of its source."),
                 this.choice(
@@ -70,7 +70,7 @@ export class Controls {
                 this.button(
                     "link",
                     "Copy the link",
-                    "The address above is this scene; it is all you need to send.",
+                    "The address of this page is the scene; sending it is enough.",
                 ),
                 make(
                     "div",

@@ -16,10 +16,10 @@ export const SLIDERS = {
         0.05,
         "Change it and see who still copes: the controllers do not know.",
     ],
-    cart_friction: ["Friction of the cart", "N s/m", 0, 10, 0.1, "Grows with the cart’s speed."],
-    joint1_friction: ["Friction of the lower joint", "N m s", 0, 0.5, 0.01, "Grows with the lower link’s rate."],
+    cart_friction: ["Cart friction", "N s/m", 0, 10, 0.1, "Grows with the cart’s speed."],
+    joint1_friction: ["Lower joint friction", "N m s", 0, 0.5, 0.01, "Grows with the lower link’s rate."],
     joint2_friction: [
-        "Friction of the upper joint",
+        "Upper joint friction",
         "N m s",
         0,
         0.5,
@@ -38,7 +38,7 @@ export const SLIDERS = {
     sensor_delay: ["Sensor delay", "samples", 0, 10, 1, "The controller sees the past."],
     force_noise: ["Force noise", "N", 0, 10, 0.1, "The motor gives about this much more or less."],
     actuator_delay: ["Motor delay", "samples", 0, 10, 1, "The force comes late."],
-    actuator_lag: ["Motor lag", "s", 0, 0.2, 0.005, "The force follows the command at this time constant."],
+    actuator_lag: ["Motor lag", "s", 0, 0.2, 0.005, "The force follows the command with this time constant."],
 };
 
 export const STARTS = {
