@@ -193,6 +193,24 @@ def styles(names: Iterable[str], known: Iterable[Contender] = CONTENDERS) -> dic
     return chosen | dict(zip((name for name in present if name not in style), cycle(_OWN), strict=False))
 
 
+_RECIPES: dict[str, Style] = {
+    "ddpg-constant-rate": ("#000000", "s", "--"), "ddpg-swing-up-100k": ("#777777", "D", "-."),
+    "td3-swing-up": ("#009E73", "D", "-."), "td3-swing-up-torch": ("#000000", "d", ":"),
+    "td3-balance": ("#009E73", "D", "-."), "sac-balance": ("#56B4E9", "^", ":"),
+    "sac-swing-up": ("#56B4E9", "^", ":"), "ppo-swing-up-caps": ("#009E73", "<", "--"),
+    "ppo-swing-up-near": ("#777777", "s", "-"), "ppo-swing-up-rest": ("#E69F00", "v", "-."),
+    "ppo-swing-up-smooth-w2": ("#56B4E9", "<", "-."), "ppo-swing-up-smooth-w3": ("#000000", "v", ":"),
+}  # fmt: skip
+"""Those of recipes whose policies are no contenders."""
+
+
+def styles_of_recipes(names: Iterable[str]) -> dict[str, Style]:
+    """Return the style of each recipe of a deep learner: that of the contender it trains, where it trains one."""
+    own = {contender.trainings: contender.style for contender in CONTENDERS if contender.trainings}
+    spare = cycle(_OWN)
+    return {name: (own | _RECIPES).get(name) or next(spare) for name in dict.fromkeys(names)}
+
+
 def designed_and_learned(names: Iterable[str]) -> list[list[str]]:
     """Return names in two parts, those of learners last; of no names no part."""
     learned = {contender.name for contender in CONTENDERS if contender.policy or contender.learner}

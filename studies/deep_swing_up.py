@@ -33,7 +33,8 @@ from rl.deep import evaluate, read_recipe
 
 from . import _runner
 from ._estimates import mean_share
-from ._figures import facets, legend_above, palette, share_axis
+from ._field import styles_of_recipes
+from ._figures import MOST, facets, legend_above, parts, share_axis
 from ._plant import Plant, rig_of
 from ._runner import AtLeastTwo, Report, Result, Table
 from ._tables import Value, sheet
@@ -198,15 +199,17 @@ def least_variation(rig: dpend.Rig, x0: Array) -> float:
 
 
 def report(table: Table) -> Report:
-    """Draw success against environment steps, long trainings apart; tabulate success, and what learning cost."""
+    """Draw success against environment steps, a panel a kind of learner; tabulate success, and what learning cost."""
     names = dict.fromkeys(table.rows["learner"])
     longest = {name: int(table.where(learner=name)["steps"].to_numpy().max()) for name in names}
     order = [name for name in longest if name not in (LQR_BALANCE, LEAST)]
-    panels = [[name for name in order if (longest[name] >= 1e6) == of_long] for of_long in (False, True)]
-    panels = [panel for panel in panels if panel]
-    figure, axes = facets(max(len(panels), 1), height=3.4 * max(len(panels), 1))
-    for axis, panel in zip(axes[:, 0], panels, strict=False):
-        for name, (colour, _, line) in palette(panel).items():
+    kinds: dict[str, list[str]] = {}
+    for name in order:
+        kinds.setdefault(_kind(name), []).append(name)
+    panels = [(kind, part) for kind, of in kinds.items() for part in parts(of, MOST)]
+    figure, axes = facets(max(len(panels), 1), height=0.3 + 2.5 * max(len(panels), 1))
+    for axis, (kind, panel) in zip(axes[:, 0], panels, strict=False):
+        for name, (colour, _, line) in styles_of_recipes(panel).items():
             curves = list(zip(table.arrays("steps", learner=name), table.arrays("success", learner=name), strict=True))
             for curve in curves if len(curves) > 1 else ():
                 axis.plot(*curve, color=colour, lw=0.5, alpha=0.4)
@@ -214,7 +217,7 @@ def report(table: Table) -> Report:
         share_axis(axis, "starts that succeed")
         axis.set_xlim(0, None)
         axis.xaxis.set_major_formatter(EngFormatter(sep=" "))
-        legend_above(axis, 3)
+        legend_above(axis, 3, kind)
     axes[-1, 0].set_xlabel("environment steps")
     shown = [*order, *(name for name in (LQR_BALANCE, LEAST) if name in longest)]
     title = "Fresh starts that succeed, and what learning cost"
@@ -224,6 +227,14 @@ def report(table: Table) -> Report:
     )
     brief = ("learner", "trainings", "success, %", "to 95 %", "steps", "CPU s")
     return Report(figures=figure, tables=[sheet(title, [_line(table, name) for name in shown], note=note, brief=brief)])
+
+
+def _kind(recipe: str) -> str:
+    """Return the title of the panel in which a recipe's trainings are drawn."""
+    algorithm = recipe.partition("-")[0]
+    if algorithm in ("sac", "td3"):
+        return "TD3 and SAC"
+    return algorithm.upper() + (", changes of force penalised" if "smooth" in recipe else "")
 
 
 def _median(curves: list[tuple[Array, Array]]) -> tuple[Array, Array]:

@@ -24,7 +24,8 @@ from rl import LSPI
 
 from . import _runner
 from ._estimates import Estimate, crossing, mean_share
-from ._figures import Style, facets, intervals, legend_above, share_axis
+from ._field import styles
+from ._figures import facets, intervals, legend_above, share_axis
 from ._plant import Plant, rig_of
 from ._runner import AtLeastTwo, Report, Result, Table
 from ._tables import sheet
@@ -33,7 +34,7 @@ MINUTES = 1
 
 DISCOUNTS = (0.95, 0.96, 0.97, 0.98, 0.99, 0.995, 0.999)
 LAMS = (0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-STYLES: dict[str, Style] = {"LQR": ("#0072B2", "o", "-"), "LSPI": ("#D55E00", "s", "--")}
+LAWS = ("LQR", "LSPI")
 _LAM, _ERROR = 0.3, 0.15
 _WRONG = ("cart_mass", "mass1", "mass2", "length1", "length2")
 CONDITIONS = ("nominal", "plants ±15 %", "1 sample of delay", "2 samples of delay")
@@ -108,7 +109,7 @@ def found(table: Table, law: str, discount: float) -> dict[str, Estimate]:
 def report(table: Table) -> Report:
     """Draw λ50 and success against the discount, and tabulate them."""
     discounts = sorted(set(table.rows["discount"]))
-    values = {(law, each): found(table, law, each) for law, each in itertools.product(STYLES, discounts)}
+    values = {(law, each): found(table, law, each) for law, each in itertools.product(LAWS, discounts)}
     lines = [{"law": law, "discount": f"{each:g}"} | own for (law, each), own in values.items()]
     forms = {"λ50, rad": ".3f"} | dict.fromkeys(CONDITIONS, ".1%")
     title = f"λ50, and starts saved from λ = {_LAM:g}, %, by discount"
@@ -117,18 +118,20 @@ def report(table: Table) -> Report:
 
 
 def _draw(values: dict[tuple[str, float], dict[str, Estimate]], discounts: list[float]) -> Figure:
-    figure, axes = facets(1, 1 + len(CONDITIONS[1:]), height=2.9, width=7.6)
+    figure, axes = facets(2, 2, height=4.6, sharex=True)
     places = np.arange(len(discounts))
-    for axis, name in zip(axes[0], ("λ50, rad", *CONDITIONS[1:]), strict=True):
-        for aside, (law, style) in zip((-0.08, 0.08), STYLES.items(), strict=True):
+    for axis, name in zip(axes.flat, ("λ50, rad", *CONDITIONS[1:]), strict=True):
+        for aside, (law, style) in zip((-0.08, 0.08), styles(LAWS).items(), strict=True):
             shown = np.clip([values[law, each][name] for each in discounts], 0.0, 1.0)  # no infinity
             intervals(axis, places + aside, map(Estimate._make, shown), style, label=law)
         if name in CONDITIONS:
-            share_axis(axis)
-        axis.set_title(name)
-        axis.set_xticks(places, [f"{each:g}" for each in discounts], rotation=60)
+            share_axis(axis, "starts saved")
+        axis.set_title(name if name in CONDITIONS else "half of the starts saved")
+        if name not in CONDITIONS:
+            axis.set_ylabel("λ50 (rad)")
+        axis.set_xticks(places, [f"{each:g}" for each in discounts])
     figure.supxlabel("discount γ")
-    legend_above(figure, len(STYLES))
+    legend_above(figure, len(LAWS))
     return figure
 
 

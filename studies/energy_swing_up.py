@@ -27,7 +27,7 @@ from dpend.params import Array
 
 from . import _runner
 from ._estimates import share
-from ._figures import facets, forest
+from ._figures import forest, log_axis, mosaic, share_axis
 from ._runner import Plant, Positive, Report, Result, Table
 from ._tables import sheet
 
@@ -146,23 +146,25 @@ def _median(values: Array) -> Array:
 
 def report(table: Table) -> Report:
     """Draw V and the energy of the passivity law under its circumstances, and how often each law arrives."""
-    figure, ((left, middle, right),) = facets(1, 3, height=3.4, width=9.0, width_ratios=(1, 1, 0.9))
+    figure, axes = mosaic([["left", "middle"], ["below", "below"]], height=4.6, height_ratios=(2.2, 1))
+    left, middle, below = (axes[name] for name in ("left", "middle", "below"))
     colours = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7")
     alone = [name for name in SETTINGS if name.startswith("passivity") and "LQR" not in name]
     for name, colour in zip(alone, colours, strict=True):
         t, v, energy = (table.array(each, setting=name) for each in ("t", "v", "energy"))
         left.semilogy(t, v, color=colour, lw=1, label=name.removeprefix("passivity, "))
         middle.plot(t, energy, color=colour, lw=1)
-    left.set(xlabel="time, s", ylabel="V / V(0), median", title="passivity law alone")
+    left.set(xlabel="time (s)", ylabel="V / V(0), median", title="passivity law alone")
+    log_axis(left, "y", (0.1, 0.2, 0.5, 1))
     left.legend()
     middle.axhline(1.0, color="k", ls="--", lw=0.8)
-    middle.set(xlabel="time, s", ylabel="E / Er, median", title="its energy")
+    middle.set(xlabel="time (s)", ylabel="E / Er, median", title="its energy (1: upright)")
     arrived = {row.setting: share(row.arrived, row.runs) for row in table.lines()}
     duration = table.rows["duration"].to_numpy().max()
-    caught = {name.replace(", ", ",\n"): each for name, each in arrived.items() if "LQR" in name}
-    forest(right, caught, ("#0072B2", "o", "-"))
-    right.set(xlim=(0, 1), xlabel=f"arrived within {duration:g} s", title="then caught")
-    right.tick_params(axis="y", labelsize=7)
+    caught = {name: each for name, each in arrived.items() if "LQR" in name}
+    forest(below, caught, ("#0072B2", "o", "-"))
+    share_axis(below, f"runs that arrive within {duration:g} s", "x")
+    below.set_title("either law, then caught")
     lines = [
         {"": row.setting, "arrived, %": arrived[row.setting], "median time, s": row.time_up, "near Er": row.near,
          "E/Er at the end": row.energy, "rise of V in 20 ms": row.rise, "off track": row.off_track, "runs": row.runs}

@@ -29,6 +29,7 @@ from rl.natural_qac import ablations
 
 from . import _runner
 from ._estimates import QUARTILES, Estimate, mean_share, share
+from ._field import styles
 from ._figures import COLOURS, Curve, band, forest, heat_map, mosaic, saved_by_angle, share_axis
 from ._plant import Plant, rig_of
 from ._runner import Positive, Report, Result, Table
@@ -172,7 +173,8 @@ def _while_it_learns(training: Training, rig: dpend.Rig, seed: int) -> dict[str,
     return {"share": np.array(share), "at_episode": training.details["updated"][::_EVERY]}
 
 
-STYLES = {LQR_NAME: ("#0072B2", "o", "-"), TUNED: ("#009E73", "D", "-."), "13 cost and σ kept": ("#E69F00", "s", "--")}
+_AS = styles(("LQR", "QAC tuned"))
+STYLES = {LQR_NAME: _AS["LQR"], TUNED: _AS["QAC tuned"], "13 cost and σ kept": ("#E69F00", "s", "--")}
 _GREY = ("#555555", "s", "-")
 _LONGEST, _BEST = "longest mean of 100 episodes, samples", "best mean policy, λ = 0.1, %"
 

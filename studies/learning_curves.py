@@ -34,7 +34,7 @@ from rl.training import task_name
 
 from . import _field, _runner
 from ._estimates import QUARTILES, number
-from ._field import Contender, find, styles
+from ._field import Contender, find, styles, styles_of_recipes
 from ._figures import Style, band, facets, legend_above, note, share_axis
 from ._plant import Plant, rig_of
 from ._runner import AtLeastTwo, Positive, Report, Result, Table
@@ -47,12 +47,8 @@ LAMS = (0.1, 0.3)
 MOST = 0.95  # the share of starts that counts as learned
 SMALL_STEPS = "QAC published, α = β = 1e-6"  # with it Algorithm 2 lasts about as long as in the report's figure 4
 
-_ALGORITHMS: Mapping[str, Style] = {
-    "ppo": ("#0072B2", "o", "-"), "ddpg": ("#D55E00", "s", "--"), "td3": ("#009E73", "D", "-."),
-    "sac": ("#CC79A7", "^", ":"),
-}  # fmt: skip
-DEEP = {task: {f"{algo}-{task}": style for algo, style in _ALGORITHMS.items()} for task in ("balance", "swing-up")}
-"""Styles of deep learners by task and by the names of their recipes."""
+DEEP = {task: [f"{algo}-{task}" for algo in ("ppo", "ddpg", "td3", "sac")] for task in ("balance", "swing-up")}
+"""Recipes of deep learners by task."""
 
 _DEEP_LAM = 0.3  # at which trainings of balancing are evaluated
 _OUTCOMES = {"converged": "converged", "diverged": "diverged", "budget spent": "not converged"}
@@ -328,7 +324,7 @@ def _episodes(axis: Axes, table: Table, looks: Mapping[str, Style]) -> None:
 
 def _deep(axis: Axes, table: Table, task: str, words: str) -> None:
     """Draw the evaluations of deep learners against environment steps, and name those that are not there."""
-    for name, style in DEEP[task].items():
+    for name, style in styles_of_recipes(DEEP[task]).items():
         if x := table.arrays("steps", learner=name):
             grid = np.unique(np.concatenate(x))
             curve = quartiles_between(x, table.arrays("share", learner=name), grid)
@@ -367,7 +363,9 @@ def _costs_table(table: Table, learners: Sequence[str], lam: float, title: str) 
         | {"end, %": float(np.median(own["share"]))}
         for name in learners if len(own := table.where(learner=name, lam=lam))
     ]  # fmt: skip
-    note = "until an evaluation first sees a start saved, first sees 95 %, until all that follow do; s; median, range"
+    note = (
+        "until an evaluation first sees a start saved, first sees 95 %, and until all that follow do; s; median, range"
+    )
     return sheet(f"{title}: experience and processor time to success, s", lines, note=note)
 
 

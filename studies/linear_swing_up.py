@@ -33,7 +33,7 @@ from rl.linear_q import REPORT_FORCES
 
 from . import _runner
 from ._estimates import QUARTILES, share
-from ._figures import COLOURS, band, facets, legend_above
+from ._figures import COLOURS, band, legend_above, mosaic, palette
 from ._plant import Plant, rig_of
 from ._runner import Positive, Report, Result, Table
 from ._tables import sheet
@@ -352,23 +352,30 @@ def report(table: Table) -> Report:
 
 
 def _overview(table: Table) -> Figure:
-    figure, ((learning,), (scores,), *heights) = facets(4, height=8.6, height_ratios=[1.3, 1.3, 1, 1])
+    layout = [["learning"] * len(STARTS), *([f"{row} {start}" for start in STARTS] for row in ("score", "height"))]
+    figure, axes = mosaic(layout, height=7.2, height_ratios=[1, 1.1, 1])
+    learning = axes["learning"]
     for colour, features in zip(COLOURS, FEATURES, strict=False):
         for k, rewards in enumerate(table.arrays("rewards", features=features)):
             episodes = np.arange(1, rewards.shape[1] + 1)
             band(learning, episodes, rewards, (colour, "", "-"), features if k == 0 else None)
     learning.set(xlabel="episodes", ylabel="average reward")
-    for colour, row in zip(COLOURS, table.lines(part="search"), strict=False):
+    laws = palette(f"{row.law}, {row.state}" for row in table.lines(part="search"))
+    for row in table.lines(part="search"):
         words, best, angles = f"{row.law}, {row.state}", *(table.array(a, job=row.job) for a in ("scores", "angles"))
-        scores.plot(np.arange(1, len(best) + 1), best, color=colour, label=f"{row.start}: {words}")
+        colour, _, line = laws[words]
+        axes[f"score {row.start}"].plot(np.arange(1, len(best) + 1), best, color=colour, ls=line, label=words)
         t = table.rig.sample_time * np.arange(len(angles))
-        heights[STARTS.index(row.start)][0].plot(t, 0.5 * np.cos(angles).sum(axis=1), color=colour, lw=1, label=words)
-    scores.set(xlabel="generation", ylabel="best score")
+        axes[f"height {row.start}"].plot(t, 0.5 * np.cos(angles).sum(axis=1), color=colour, ls=line, lw=1)
     legend_above(learning, 3, "linear Q-learning that did not overflow: median and quartiles over settings")
-    legend_above(scores, 2)
-    for (axis,), start in zip(heights, STARTS, strict=True):
-        axis.set(xlabel="time (s)", ylabel="height of the tip", ylim=(-1.1, 1.1))
-        legend_above(axis, 2, f"best gains from {start}, 1 = upright, until the cart leaves the track")
+    for start in STARTS:
+        axes[f"score {start}"].set(xlabel="generation", ylim=(0, None))
+        legend_above(axes[f"score {start}"], 1, f"search over gains, from {start}")
+        axes[f"height {start}"].set(
+            xlabel="time (s)", ylim=(-1.1, 1.1), title="best gains, until the cart leaves the track"
+        )
+    axes[f"score {STARTS[0]}"].set_ylabel("best score")
+    axes[f"height {STARTS[0]}"].set_ylabel("height of the tip (1: upright)")
     return figure
 
 

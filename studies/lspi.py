@@ -28,6 +28,7 @@ from rl.lspi import gain_errors
 
 from . import _runner
 from ._estimates import QUARTILES, mean_share
+from ._field import styles
 from ._figures import Curve, band, force_traces, legend_above, log_axis, mosaic, saved_by_angle
 from ._plant import Plant, rig_of
 from ._runner import Positive, Report, Result, Table
@@ -117,10 +118,10 @@ def run(job: Job) -> Result:
     return Result(rows, arrays)
 
 
+_AS = styles(("LQR", "LSPI", "Q tuned"))
 STYLES = {
-    REFERENCE: ("#0072B2", "o", "-"), "LSPI, 120 s": ("#009E73", "D", "-."), "LSPI, 60 s": ("#E69F00", "s", "--"),
-    "one-step Q, 120 s": ("#777777", "v", ":"), "one-step Q, 12 000 s": ("#CC79A7", "P", ":"),
-    TABLE1: ("#D55E00", "^", "--"),
+    REFERENCE: _AS["LQR"], "LSPI, 120 s": _AS["LSPI"], "LSPI, 60 s": ("#E69F00", "s", "--"),
+    "one-step Q, 120 s": ("#777777", "v", ":"), "one-step Q, 12 000 s": ("#CC79A7", "P", ":"), TABLE1: _AS["Q tuned"],
 }  # fmt: skip
 
 
@@ -169,6 +170,7 @@ def _overview(table: Table, saved: Mapping[str, Curve]) -> Figure:
     axes["errors"].axhline(CLOSE, color="k", lw=0.8, ls="--")
     axes["errors"].set(ylim=(4e-4, 4), xlabel="experience (s)", ylabel="error of the gain", yscale="log")
     log_axis(axes["errors"])
+    log_axis(axes["errors"], "y", (0.001, 0.01, 0.1, 1))
     axes["errors"].set_title("median and quartiles over trainings")
     saved_by_angle(axes["success"], saved, STYLES, aside=0.016)
     axes["success"].set_xticks(LAMS)

@@ -232,7 +232,7 @@ def _drawn(axis: Axes, k: int, own: pd.DataFrame, milestones: Mapping[str, Any])
         each, height = own[kind], np.full(len(own), k + lift)
         axis.plot(each, height, mark, color=colour, ms=4, alpha=0.5, mew=0, label=label)
         never = own["experience"].where(each.isna())
-        axis.plot(never, height, ">", color="0.4", ms=5, mfc="none", label="not within this")
+        axis.plot(never, height, ">", color="0.4", ms=5, mfc="none", label="not reached by then")
         found[kind] = median(each.fillna(math.inf))
         if math.isfinite(found[kind].value):
             axis.plot([found[kind].value] * 2, [k + lift - 0.12, k + lift + 0.12], color=colour, lw=2.2)

@@ -37,7 +37,18 @@ from rl.policies import LinearQPolicy
 
 from . import _runner
 from ._estimates import Estimate, mean_share, number, share
-from ._figures import facets, forest, intervals, legend_above, log_axis, palette, saved_by_angle, share_axis
+from ._field import styles
+from ._figures import (
+    Style,
+    facets,
+    forest,
+    intervals,
+    legend_above,
+    log_axis,
+    palette,
+    saved_by_angle,
+    share_axis,
+)
 from ._runner import Plant, Positive, Report, Result, Table
 from ._tables import sheet
 from .lambda_sweep import TABLE2
@@ -73,7 +84,10 @@ THETA2 = {"random": None, "zero": 0.0}
 DRAWN = 8  # trainings of each whose weights are drawn
 DRAWN_LEARNERS = ("12 features, θ2 random", "12 features, θ2 zero", "18 features, θ2 random", "program, θ2 zero",
                   "program, α = 1e-6, θ2 zero")  # fmt: skip
-_LOOKS = palette((*DRAWN_LEARNERS, "the report's Table 2", "LQR", "stiff LQR"))
+_LOOKS: dict[str, Style] = dict(zip(DRAWN_LEARNERS, (
+    ("#D55E00", "o", "-"), ("#009E73", "s", "--"), ("#777777", "v", ":"), ("#CC79A7", "^", "-."),
+    ("#E69F00", "P", (0, (6, 1, 1, 1))),
+), strict=True)) | {"the report's Table 2": ("#000000", "P", ":")} | styles(("LQR", "stiff LQR"))  # fmt: skip
 FROZEN, FEW = DRAWN_LEARNERS[0], 5  # whose frozen weights are drawn beside LQR, where at least so many converged
 _FROZEN = {1: (_LOOKS[FROZEN][0], "o", ":"), 3: (_LOOKS[FROZEN][0], "D", "--"), 10: (_LOOKS[FROZEN][0], "s", "-")}
 
@@ -234,10 +248,10 @@ def report(table: Table) -> Report:
     """Draw convergence, growth of the weights, and what the weights save, frozen and learning on; tabulate all."""
     plants, episodes = list(dict.fromkeys(table.rows["plant"])), max(table.rows["episodes"])
     letter = dict(zip(("criterion", "weights", "failure_cost", "failed_step"), next(_readings()), strict=True))
-    figure, axes = facets(3, len(plants), height=8.2, sharex="row", sharey="row")
+    figure, axes = facets(4, len(plants), height=9.6, sharex="row", sharey="row")
     beside, below = facets(2, len(plants), height=5.6, sharex=True, sharey=True)
     converged, saved = [], []
-    for (converging, growing, going_on), by_angle, plant in zip(axes.T, below.T, plants, strict=True):
+    for (converging, growing, *ways_on), by_angle, plant in zip(axes.T, below.T, plants, strict=True):
         table2 = [Estimate(value) for value in TABLE2.values()]
         laws = {"the report's Table 2": [table2, table2]}
         for law in LAWS:
@@ -269,15 +283,16 @@ def report(table: Table) -> Report:
             intervals(converging, place, rates, look, label=name)
             for each in table.array("growth", **own):
                 growing.plot(_drawn(rows[0].max_episodes)[: len(each)], each, color=look[0], ls=look[2], lw=0.7)
-            for hollow, each in enumerate(zip(*ways, strict=True)):
-                intervals(going_on, place, each, look, hollow=bool(hollow), ls=":" if hollow else "-")
+            for axis, each in zip(ways_on, zip(*ways, strict=True), strict=True):
+                intervals(axis, place, each, look)
         converging.axhline(REPORT_SHARE, color="k", ls="--", lw=1, label="the report")
         converging.set(title=plant, xlabel="successes in a row that are convergence")
         growing.axhline(np.log10(np.finfo(float).max), color="k", lw=1)
         growing.yaxis.set_major_formatter(lambda value, _: f"1e{value:.0f}")
         growing.set_xlabel("episode")
-        going_on.set_xlabel("successes in a row before")
-        for axis in (converging, going_on):
+        for axis in ways_on:
+            axis.set_xlabel("successes in a row before")
+        for axis in (converging, *ways_on):
             log_axis(axis, ticks=STREAKS)
         looks = _LOOKS | {f"frozen after {streak} in a row": look for streak, look in _FROZEN.items()}
         for j, (axis, theta2) in enumerate(zip(by_angle, THETA2, strict=True)):
@@ -286,7 +301,8 @@ def report(table: Table) -> Report:
         by_angle[0].set(title=plant, xlabel="")
     share_axis(axes[0, 0], "trainings that converge")
     axes[1, 0].set_ylabel("greatest weight, up to overflow")
-    share_axis(axes[2, 0], f"next {episodes} episodes that succeed:\nlearning on (full), frozen (hollow)")
+    for axis, way in zip(axes[2:, 0], ("going on learning", "with frozen weights"), strict=True):
+        share_axis(axis, f"next {episodes} episodes that\nsucceed, {way}")
     for each in (figure, beside):
         legend_above(each, 3)
     tables = [
@@ -311,7 +327,7 @@ def _line(plant: str, law: str, of: list[list[Estimate]], row: Any = None,
 
 def _forests(table: Table, plants: list[str]) -> Any:
     """Draw the share of trainings without the cart's six features that converge by each reading of the report."""
-    figure, axes = facets(len(plants), 4, height=1.0 + 2.6 * len(plants), width=8.2, sharex=True, sharey=True)
+    figure, axes = facets(len(plants), 4, height=1.2 + 2.9 * len(plants), sharex=True, sharey=True)
     looks = dict(zip((1, 10, 50), palette("abc").values(), strict=True))
     for line, plant in zip(axes, plants, strict=True):
         for axis, (criterion, theta2) in zip(line, itertools.product(CRITERIA, THETA2), strict=True):
@@ -322,7 +338,7 @@ def _forests(table: Table, plants: list[str]) -> Any:
                                                  theta2=theta2, streak=streak)}  # fmt: skip
                 forest(axis, rates, look, aside=aside, label=f"{streak} in a row")
             axis.axvline(REPORT_SHARE, color="k", ls="--", lw=1, label="the report")
-            axis.set_title(f"{criterion}, θ2 {theta2}", fontsize=7.5)
+            axis.set_title(f"{criterion},\nθ2 {theta2}", fontsize=7.5)
             share_axis(axis, along="x")
         line[0].set_ylabel(plant, fontsize=7.5)
     figure.supxlabel("trainings that converge, without the cart's six features")

@@ -263,7 +263,7 @@ def report(table: Table) -> Report:
 
 
 def _plot_sets(sets: Mapping[str, Boundary], shares: Mapping[str, Curve]) -> Figure:
-    figure, ((plane, by_lam),) = facets(1, 2, height=4.1, width=8.2)
+    figure, ((plane, by_lam),) = facets(1, 2, height=3.6)
     for (name, of), (colour, _, line) in zip(sets.items(), palette(sets).values(), strict=True):
         plane.plot(*of.ring().T, color=colour, ls=line, lw=1.4)
         by_lam.plot(LAMS, [each.value for each in shares[name].values()], color=colour, ls=line, lw=1.4, label=name)
@@ -279,10 +279,10 @@ def _plot_resources(
     own: float,
 ) -> Figure:  # fmt: skip
     """Draw the least force over the plane, and over the track the force under which most starts are saved."""
-    figure, ((plane, tracks),) = facets(1, 2, height=4.1, width=8.2)
+    figure, ((plane, tracks),) = facets(1, 2, height=3.6)
     for part in (0.25, 0.5, 0.75, 1.0, 1.25, 1.5):
         (line,) = plane.plot(*bounded(part * limit).ring().T, color=colormaps["viridis"](1.0 - 0.62 * part))
-        line.set(lw=2.6 if part == 1 else 1.3, label=f"{part * limit:g} N, {part * limit / weight:.2g} Mg")
+        line.set(lw=2.6 if part == 1 else 1.3, label=f"{part * limit:g} N, {part * limit / weight:.2g} $Mg$")
     _angles(plane)
     legend_above(plane, 3, "least force")
     places = {track: min(track, _ENDLESS) for track in needed}
@@ -293,7 +293,7 @@ def _plot_resources(
     log_axis(tracks, "x", list(places.values()))
     tracks.set_xticks(list(places.values()), [f"{track:g}" if track < _ENDLESS else "∞" for track in places])
     tracks.set(ylim=(0, None), xlabel="track, middle to end, by the length of both links")
-    tracks.set_ylabel(f"least force that saves {SAVED:.0%} of the starts (Mg)")
+    tracks.set_ylabel(f"least force that saves {SAVED:.0%} of the starts ($Mg$)")
     legend_above(tracks, 4)
     return figure
 

@@ -31,7 +31,19 @@ from dpend.params import Array
 from . import _field, _perturbations, _runner
 from ._estimates import Estimate, crossing, mean_share, share, worst_cases
 from ._field import Contender, Cost, TaskName, designed_and_learned, find, longest_first, made, styles
-from ._figures import Curve, Style, curves, facets, forest, heat_map, intervals, legend_above, share_axis
+from ._figures import (
+    MOST,
+    Curve,
+    Style,
+    curves,
+    facets,
+    forest,
+    heat_map,
+    intervals,
+    legend_above,
+    parts,
+    share_axis,
+)
 from ._own import Own
 from ._perturbations import (
     AXES,
@@ -55,7 +67,6 @@ MINUTES = 8
 
 TASKS: tuple[TaskName, ...] = get_args(TaskName)
 _STARTS_A_PLANT = 4
-_MOST = 6  # curves of a panel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,7 +233,7 @@ def _heat_maps(table: Table, line: Callable[[Table, str, TaskName], Mapping[str,
     values = {task: {name: line(table, name, task) for name in of} for task in TASKS if (of := _present(table, task))}
     sizes = [*map(len, values.values())]
     height = 1.3 + 0.24 * sum(sizes) + 0.35 * len(sizes)
-    figure, axes = facets(len(sizes), height=height, width=7.0, sharex=True, height_ratios=sizes)
+    figure, axes = facets(len(sizes), height=height, sharex=True, height_ratios=sizes)
     for axis, (task, of) in zip(axes[:, 0], values.items(), strict=True):
         columns = [column.replace("_", " ") for column in next(iter(of.values()))]
         heat_map(axis, np.array([[each.value for each in row.values()] for row in of.values()]), list(of), columns)
@@ -258,10 +269,8 @@ def _shares(table: Table, axes: Sequence[str], **fields: str) -> Curve:
 def _plot_axes(table: Table, task: TaskName) -> Figure:
     """Draw success against level: a row an axis, designed controllers on the left, learned ones on the right."""
     looks = _present(table, task)
-    sides = [part for side in designed_and_learned(looks) for part in _parts(side)]
-    figure, axes = facets(
-        len(GROUPS), len(sides), height=9.2 if len(sides) < 3 else 10.4, width=7.0, sharey=True, sharex="row"
-    )
+    sides = [part for side in designed_and_learned(looks) for part in parts(side)]
+    figure, axes = facets(len(GROUPS), len(sides), height=9.2 if len(sides) < 3 else 10.4, sharey=True, sharex="row")
     words = {axis.group: axis.words for axis in axes_of(table.rig)} | {"model": "error of one parameter, eight pooled"}
     for group, row in zip(GROUPS, axes, strict=True):
         of_group = (NOMINAL.name, *(PARAMETERS if group == "model" else (group,)))
@@ -285,22 +294,15 @@ def _plot_axes(table: Table, task: TaskName) -> Figure:
     return figure
 
 
-def _parts(names: list[str]) -> list[list[str]]:
-    """Return names in as few parts as possible of at most six, so that curves can be told apart."""
-    count = -(-len(names) // _MOST)
-    size = -(-len(names) // count)
-    return [names[k : k + size] for k in range(0, len(names), size)]
-
-
 def _plot_plants(table: Table, tasks: Sequence[TaskName]) -> Figure:
     """Draw plants in the order of success, for six contenders from best to worst; and everyone's mean and worst."""
     looks = {task: _present(table, task, "plants") for task in tasks}
     heights = [max(len(of), 6) + 3 for of in looks.values()]
-    figure, axes = facets(len(tasks), 2, height=1.0 + 0.19 * sum(heights), width=7.0, height_ratios=heights)
+    figure, axes = facets(len(tasks), 2, height=1.0 + 0.19 * sum(heights), height_ratios=heights)
     for (left, right), task in zip(axes, tasks, strict=True):
         found = {name: on_plants(table, name, task) for name in looks[task]}
         ranked = sorted(found, key=lambda name: -found[name][1].value)
-        for place in sorted({round(each) for each in np.linspace(0, len(ranked) - 1, _MOST)}):
+        for place in sorted({round(each) for each in np.linspace(0, len(ranked) - 1, MOST)}):
             name = ranked[place]
             shares = found[name][0]
             places = (np.arange(len(shares)) + 0.5) / len(shares)
@@ -329,7 +331,7 @@ def _plot_sensors(table: Table) -> Figure:
     noise, encoders, *_ = sensors
     named = {noise: [f"{each:g}" for each in noise.levels], encoders: [f"{1 / each:.0f}" for each in encoders.levels]}
     rows = len(shown)
-    figure, axes = facets(rows, len(sensors), height=0.9 + 1.45 * rows, width=7.0, sharey=True, sharex="col")
+    figure, axes = facets(rows, len(sensors), height=0.9 + 1.45 * rows, sharey=True, sharex="col")
     for (name, task), row in zip(shown, axes, strict=True):
         for of, axis in zip(sensors, row, strict=True):
             for view in views(of):

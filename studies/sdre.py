@@ -19,7 +19,8 @@ from controllers import LQR, SDRE
 
 from . import _runner
 from ._estimates import share
-from ._figures import curves, facets, palette, share_axis
+from ._field import styles
+from ._figures import curves, facets, share_axis
 from ._plant import Plant, rig_of
 from ._runner import Positive, Report, Result, Table
 from ._tables import sheet
@@ -90,12 +91,14 @@ def report(table: Table) -> Report:
     saved = {(row.plant, row.law, row.lam): share(row.successes, row.episodes) for row in table.lines()}
     lams = sorted(set(table.rows["lam"]))
     plants = dict.fromkeys(table.rows["plant"])
-    figure, axes = facets(1, len(plants), height=2.8, width=9.0, sharey=True)
-    for axis, plant in zip(axes[0], plants, strict=True):
-        curves(axis, {law: {lam: saved[plant, law, lam] for lam in lams} for law in LAWS}, palette(LAWS))
+    figure, axes = facets(-(-len(plants) // 2), 2, height=0.2 + 2.4 * -(-len(plants) // 2), sharex=True, sharey=True)
+    for axis, plant in zip(axes.flat, plants, strict=True):
+        curves(axis, {law: {lam: saved[plant, law, lam] for lam in lams} for law in LAWS}, styles(LAWS))
         axis.set_title(plant)
-        axis.set_xlabel("λ, rad")
-    share_axis(axes[0, 0], "starts saved")
+    for axis in axes[-1]:
+        axis.set_xlabel("greatest starting angle λ (rad)")
+    for axis in axes[:, 0]:
+        share_axis(axis, "starts saved")
     axes[0, 0].legend()
     lines = [
         {"plant": plant, "law": law} | {f"λ = {lam:g}, %": saved[plant, law, lam] for lam in lams}

@@ -287,7 +287,9 @@ def _pareto(table: Table, looks: Mapping[str, Style], condition: str) -> Figure:
         points[line.task][line.contender] = shown, success(line)
     ends = [bound for own in points.values() for x, _ in own.values() for bound in x] or [0.1, 10.0]
     log_axis(axes[-1, 0])
-    axes[-1, 0].set(xlim=(min(ends) / 1.6, max(ends) * 1.6), xlabel="total variation of the force (u_max/s)")
+    axes[-1, 0].set(
+        xlim=(min(ends) / 1.6, max(ends) * 1.6), xlabel="total variation of the force ($u_\\mathrm{max}$/s)"
+    )
     for axis, task in zip(axes[:, 0], TASKS, strict=True):
         share_axis(axis, "starts that succeed")
         axis.set(ylim=(-0.06, 1.32), yticks=np.linspace(0, 1, 6), title=f"{_TITLES[task]}, {_WORDS[condition]}")
@@ -339,7 +341,7 @@ def _forces(table: Table, looks: Mapping[str, Style], task: str, seconds: float)
     figure.supylabel("force on the cart (N), perfect sensors", fontsize=8)
     lines = [Line2D([], [], color="black", ls=line, label=_WORDS[name]) for name, line in _LINES.items()]
     lines.append(Line2D([], [], color="#AAAAAA", label=f"{REFERENCES[task]}, perfect sensors"))
-    title = "right: power spectral density of u/u_max (1/Hz)"
+    title = r"right: power spectral density of $u/u_\mathrm{max}$ (1/Hz)"
     figure.legend(handles=lines, title=title, ncols=3, loc="outside upper right")
     return figure
 
@@ -372,7 +374,7 @@ def _devices(table: Table, looks: Mapping[str, Style]) -> Figure:
             share_axis(axis, "starts that succeed")
         elif name.endswith("varied"):
             log_axis(axis, "y")
-            axis.set(ylim=(0.04, 200), ylabel="variation (u_max/s)")
+            axis.set(ylim=(0.04, 200), ylabel=r"variation ($u_\mathrm{max}$/s)")
     words = "filled: perfect sensors, hollow: sensor noise 0.002; balancing, λ = 0.3, where nothing else is said"
     legend_above(figure, 5, words)
     return figure

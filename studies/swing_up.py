@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -344,19 +344,19 @@ def _first_swing(table: Table, line: Any, after: float = np.inf, otherwise: floa
     )  # fmt: skip
 
 
-def _swings(table: Table, names: Collection[str]) -> Figure:
+def _swings(table: Table, looks: Mapping[str, Style]) -> Figure:
     """Draw for every controller its first swing from hanging: as strobe pictures, angles, and force."""
     first = {line.contender: line for line in table.lines(timed=True, start="hanging", first=0)}
-    height = 1.55 * len(names) + 0.5
-    figure, axes = facets(len(names), 3, height=height, width=7.0, width_ratios=(1.0, 1.15, 1.15), sharex="col")
-    for name, (strobe, angles, force) in zip(names, axes, strict=True):
+    height = 1.55 * len(looks) + 0.5
+    figure, axes = facets(len(looks), 3, height=height, width_ratios=(1.0, 1.15, 1.15), sharex="col")
+    for (name, style), (strobe, angles, force) in zip(looks.items(), axes, strict=True):
         run = _first_swing(table, first[name])
         draw_strobe(strobe, _first_swing(table, first[name], 0.6, 5.0).x, run.rig)
         strobe.set(xlim=(-3.6, 3.6), title=name)
         for column, colour, line in ((1, "#0072B2", "-"), (2, "#D55E00", "--")):
             angles.plot(run.t, run.x[:, column] / np.pi, color=colour, ls=line, label=f"link {column}")
         angles.set_xlim(0, 6)
-        force_trace(force, run.u, run.rig.sample_time, 6.0, "#009E73", "")
+        force_trace(force, run.u, run.rig.sample_time, 6.0, style[0], "")
         if not run.success:
             note(force, "not up")
     axes[0, 1].set_title("angles (half turns)")

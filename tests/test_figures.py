@@ -1,6 +1,9 @@
 """Figures show what they are given, where it is, and hide nothing."""
 
+import importlib
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +11,16 @@ from matplotlib import rcParams
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from studies import _figures
 from studies._estimates import Estimate
 from studies._labels import place_labels
+from studies._table import load
+
+RESULTS = Path(__file__).parent.parent / "docs/results"
+KEPT = {path.parent.name: json.loads(path.read_text())["study"] for path in sorted(RESULTS.glob("*/meta.json"))}
+"""Studies by the folders of their tables."""
 
 STYLE = ("#0072B2", "o", "-")
 
@@ -149,3 +158,26 @@ def test_no_label_covers_another_or_a_point():
     assert not any(box.contains(*point) for box in boxes for point in points)
     frame = axis.get_window_extent(renderer)
     assert all(frame.contains(box.x0, box.y0) and frame.contains(box.x1, box.y1) for box in boxes)
+
+
+def curves(axis):
+    """Return the looks of a panel's curves, but for single trainings behind a median and the best that is known."""
+    return {
+        (line.get_color(), line.get_linestyle(), line.get_marker())
+        for line in axis.lines
+        if len(np.ravel(line.get_xdata())) > 2 and line.get_linestyle() != "None"
+        if line.get_alpha() is None and line.get_color() != _figures.BEST[0]
+    }
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("folder", KEPT)
+def test_a_kept_figure_fits_a_page_with_seven_points_and_at_most_six_curves_a_panel(folder):
+    with _figures.look():
+        drawn = importlib.import_module(KEPT[folder]).report(load(RESULTS / folder)).figures
+        for figure in [drawn] if isinstance(drawn, Figure) else drawn.values():
+            figure.draw_without_rendering()
+            texts = [text for text in figure.findobj(Text) if text.get_text()]
+            assert figure.get_figwidth() <= _figures.WIDTH
+            assert min(float(text.get_fontsize()) for text in texts) >= 7
+            assert max(len(curves(axis)) for axis in figure.axes) <= _figures.MOST
