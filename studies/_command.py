@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
+import re
 import runpy
 import sys
 from argparse import ArgumentParser
 from collections.abc import Sequence
 from dataclasses import fields
+from importlib.util import find_spec
+from pathlib import Path
+from textwrap import wrap
 
 import shtab
 
@@ -37,10 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     word, *others = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if word == "rigs":
-        print("\n".join(f"{name:<24}{what}" for name, what in dpend.rigs().items()))
+        print("\n".join(_line(name, what, 24) for name, what in dpend.rigs().items()))
     elif word in ("-h", "--help"):
-        print("usage: dpend WORD [options]; dpend WORD --help says more\n\n  rigs\n  completion SHELL")
-        print("\n".join(f"  {each:<20}python -m {module}" for each, module in MODULES.items()))
+        print(_words())
     elif word == "completion":
         print(_completion(*others))
     elif word not in MODULES:
@@ -48,6 +52,33 @@ def main(arguments: Sequence[str] | None = None) -> None:
     else:
         sys.argv = ["-m", *others]
         runpy.run_module(MODULES[word], run_name="__main__", alter_sys=True)
+
+
+def _words() -> str:
+    """Return the help: a line for each word, and the studies together, since their own list has their questions."""
+    own = {each: module for each, module in MODULES.items() if module not in studies()}
+    lines = ["usage: dpend WORD [options]; dpend WORD --help says more", "", _line("  rigs", "List the presets.")]
+    lines += [_line("  completion SHELL", "Print what a shell needs to complete words and options.")]
+    lines += [_line(f"  {each}", _purpose(module)) for each, module in {"sweep": "studies.lambda_sweep", **own}.items()]
+    names = " ".join(each for each in MODULES if each not in own and each != "sweep")
+    lines += ["", "Studies, whose questions and minutes `dpend studies` lists:"]
+    return "\n".join([*lines, *wrap(names, 80, initial_indent="  ", subsequent_indent="  ", break_on_hyphens=False)])
+
+
+def _purpose(module: str) -> str:
+    """Return the first line of a module's docstring, without importing it."""
+    spec = find_spec(module)
+    assert spec is not None
+    assert spec.origin is not None
+    page = Path(spec.origin).with_name("__main__.py") if spec.submodule_search_locations else Path(spec.origin)
+    words = ast.get_docstring(ast.parse(page.read_text(encoding="utf-8"))) or ""
+    first = " ".join(words.partition("\n\n")[0].split()).partition(": ``")[0]
+    return re.sub(r":\w+:`(.*?)`", r"\1", first).rstrip(".?") + ("?" if first.endswith("?") else ".")
+
+
+def _line(name: str, what: str, column: int = 20) -> str:
+    """Return a name and what it is, no wider than a terminal of 80 columns."""
+    return "\n".join(wrap(what, 80, initial_indent=f"{name:<{column}}", subsequent_indent=" " * column))
 
 
 def _completion(shell: str = "", *_: str) -> str:

@@ -29,9 +29,20 @@ def test_what_follows_the_word_goes_to_the_module(monkeypatch, capsys):
 
 def test_the_presets_are_listed_and_an_unknown_word_is_refused(capsys):
     main(["rigs"])
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(dpend.rigs())
+    names = [line.split()[0] for line in capsys.readouterr().out.splitlines() if not line.startswith(" ")]
+    assert names == list(dpend.rigs())
     with pytest.raises(SystemExit, match=re.escape("dpend does not know 'swepe'. Did you mean 'sweep'?")):
         main(["swepe"])
+
+
+def test_the_lists_of_words_and_of_presets_fit_a_terminal_and_say_what_each_is(capsys):
+    main([])
+    words = capsys.readouterr().out
+    main(["rigs"])
+    assert max(map(len, (words + capsys.readouterr().out).splitlines())) <= 80
+    assert len(words.splitlines()) <= 24
+    for word in ("rigs", "completion", *MODULES):
+        assert re.search(rf"\b{word}\b", words), word
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
