@@ -19,7 +19,7 @@ import pandas as pd
 import tyro
 from rich.console import Console
 
-from benchmarks import backends, ilqr, learners, mpc, robustness, simulator, trajopt
+from benchmarks import backends, boxfddp, ilqr, learners, mpc, robustness, simulator, trajopt
 from benchmarks.race import BUSY, Race, Ratio, pin_to_one_core, processor, run, show, versions
 
 RACES: Mapping[str, Callable[[Path, bool], list[Race]]] = {
@@ -28,9 +28,10 @@ RACES: Mapping[str, Callable[[Path, bool], list[Race]]] = {
     "learners": lambda _, quick: learners.races(quick),
     "backends": backends.races,
     "ilqr": lambda _, quick: ilqr.races(quick),
+    "boxfddp": lambda _, quick: boxfddp.races(quick),
     "trajopt": lambda _, quick: trajopt.races(quick),
 }
-PACKAGES = ("numpy", "numba", "casadi", "gymnasium", "mujoco", "do-mpc", "jax")
+PACKAGES = ("numpy", "numba", "casadi", "gymnasium", "mujoco", "do-mpc", "crocoddyl", "jax")
 
 
 def main(
@@ -43,7 +44,7 @@ def main(
     Parameters
     ----------
     only
-        Parts that run: simulator, robustness, learners, backends, ilqr, trajopt, mpc; left out, all.
+        Parts that run: simulator, robustness, learners, backends, ilqr, boxfddp, trajopt, mpc; left out, all.
     quick
         A little of everything, to see that it runs; the figures mean little.
     out
