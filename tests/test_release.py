@@ -8,6 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from test_architecture import SOURCES, imports
 
 import dpend
@@ -40,6 +42,22 @@ def test_every_shipped_file_exists() -> None:
     forced = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     assert forced
     assert not [file for file in forced if not (ROOT / file).is_file()]
+
+
+def test_the_lock_has_hashes_no_hosts_and_versions_within_the_bounds_of_the_project() -> None:
+    text = (ROOT / "requirements.lock").read_text()
+    assert "://" not in text
+    blocks = [line.split(" --hash=sha256:") for line in text.replace("\\\n", "").splitlines() if line[0] != "#"]
+    blocks = [[each.strip() for each in block] for block in blocks]
+    assert all(re.fullmatch("[0-9a-f]{64}", each) for _, *hashes in blocks for each in hashes)
+    assert all(len(block) > 1 for block in blocks)
+    locked = [Requirement(name) for name, *_ in blocks]
+    extras = PROJECT["project"]["optional-dependencies"]
+    asked = map(Requirement, [*PROJECT["project"]["dependencies"], *extras["dev"], *extras["web"]])
+    for wanted in asked:
+        found = [each for each in locked if canonicalize_name(each.name) == canonicalize_name(wanted.name)]
+        assert found or wanted.name == "dpend", wanted
+        assert all(wanted.specifier.contains(str(each.specifier).removeprefix("==")) for each in found), wanted
 
 
 @pytest.mark.slow
