@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from refusals import refusal
 
@@ -66,6 +66,8 @@ from rl import (
     TableOneMean,
 )
 
+MANY = 100_000
+SLOW = (HealthCheck.too_slow,)
 RIG = dpend.rig("gustafsson2016")
 PLANT = RIG.params
 REST = np.zeros(6)
@@ -325,15 +327,27 @@ def _compiled() -> None:
         tuned_gain(RIG, evaluations=0)
 
 
-@pytest.mark.parametrize("surface", SURFACES)
-def test_odd_input_works_or_is_refused_in_this_projects_own_words_within_a_second(surface: str) -> None:
-    @settings(max_examples=60)
+def check_surface(surface: str, cases: int) -> None:
+    """Pass so many odd values to the calls of a surface."""
+
+    @settings(max_examples=cases, suppress_health_check=SLOW)
     @given(st.sampled_from(SURFACES[surface]), ODD)
     @example(SURFACES[surface][0], [[1, 2], [3]])
     def check(call: Call, value: Any) -> None:
         judged(call, value)
 
     check()
+
+
+@pytest.mark.parametrize("surface", SURFACES)
+def test_odd_input_works_or_is_refused_in_this_projects_own_words_within_a_second(surface: str) -> None:
+    check_surface(surface, 60)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("surface", SURFACES)
+def test_a_hundred_thousand_odd_values_work_or_are_refused_within_a_second(surface: str) -> None:
+    check_surface(surface, MANY)
 
 
 @pytest.mark.parametrize("value", ["word", None, ["a"] * 6, [[1, 2], [3]], 1e300, 10**400, [np.nan] * 6])
