@@ -316,7 +316,7 @@ def judged(call: Call, value: Any) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def _compiled() -> None:
-    """Load what is compiled before the clock runs."""
+    """Load what is compiled, or imported where it is first needed, before the clock runs."""
     dpend.simulate(RIG, Zero(), LEANING, 0.1)
     ilqr(RIG, LEANING, **QUICK)
     ilqr(RIG, LEANING, **QUICK, tolerance=0)
@@ -325,6 +325,8 @@ def _compiled() -> None:
     LSPI(RIG).train(0, seconds=0.02)
     with pytest.raises(ValueError, match="evaluations"):
         tuned_gain(RIG, evaluations=0)
+    with pytest.raises(TypeError, match="Run"):
+        dpend.identify(0, RIG, ["mass1"])  # pyright: ignore[reportArgumentType]
 
 
 def check_surface(surface: str, cases: int) -> None:
