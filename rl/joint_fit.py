@@ -97,10 +97,11 @@ def fit(
         noise = before.sensor_noise * 2.0**attempt
         model, states = replace(before, sensor_noise=noise), [episode.y for episode in episodes]
         try:
-            for k in range(rounds):
-                last = k == rounds - 1
-                learn = not last and k >= learns_from
-                model, states = _round(episodes, states, model, basis(model), process, center, last, learn)
+            with np.errstate(all="ignore"):  # an attempt whose numbers overflow fails, and is made again
+                for k in range(rounds):
+                    last = k == rounds - 1
+                    learn = not last and k >= learns_from
+                    model, states = _round(episodes, states, model, basis(model), process, center, last, learn)
             return model
         except np.linalg.LinAlgError:
             continue
