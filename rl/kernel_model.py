@@ -13,20 +13,23 @@ sign.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.optimize import minimize
 
 from controllers.ilqr import Model
 from dpend.kernels import cos, inline, sin
 from dpend.params import Array
 
-_POINTS, _MOST = 300, 1200  # transitions for the marginal likelihood, and for the posterior
+_POINTS, _CENTERS = 200, 200  # transitions for the marginal likelihood, and centres of the posterior's kernels
+_FIRST_STEPS, _STEPS = 40, 15  # of the search for hyperparameters, from their prior and from those before
+_EXACT = 1e-6  # share of a kernel's variance by which no function of its centres is the process
 _JITTER = 1e-3  # least noise, as a share of the changes
 
 
@@ -152,10 +155,10 @@ class KernelModel:
 
     Parameters
     ----------
-    z : ndarray (N, D)
-        Inputs.
-    alpha : ndarray (N, E)
-        Weights of the kernels about them.
+    z : ndarray (M, D)
+        Centres: inputs of some of the transitions, spread over those of all.
+    alpha : ndarray (M, E)
+        Weights of the kernels about them, which all transitions determine.
     hyper : ndarray (E, D + 2)
         Logarithms of the length scales, the amplitude and the noise.
     sample_time : float
@@ -187,23 +190,31 @@ class KernelModel:
         """Standard deviations (3,) of the measured rates that the model infers, m/s and rad/s."""
         return np.exp(self.hyper[-3:, -1]) / math.sqrt(2)  # a change has the noise of two measurements
 
+    @cached_property
+    def _factors(self) -> list[Array]:
+        """Cholesky factors of what is known of the changes of the rates at the centres."""
+        return [_factor(self.z, hyper, self.priors)[0] for hyper in self.hyper[-3:]]
+
     def uncertainty(self, x: Array, u: Array) -> Array:
-        """Return the standard deviations (N, 3) of the mean accelerations in states (N, 6) under forces (N,)."""
+        """Return the standard deviations (N, 3) of the mean accelerations in states (N, 6) under forces (N,).
+
+        They count the transitions at the centres alone, and so are rather too great.
+        """
         new, signs = _inputs(x, u, self.priors), _signs(self.priors)
         std = np.empty((len(x), 3))
-        for d, hyper in enumerate(self.hyper[-3:]):
+        for d, (hyper, factor) in enumerate(zip(self.hyper[-3:], self._factors, strict=True)):
             across, _ = _kernel(new, self.z, hyper, self.priors, signs)
             own = np.exp(2 * hyper[-2]) * np.ones(len(x))
             if self.priors.mirror:
                 twice = np.exp(-0.5 * (((new - new * signs) / np.exp(hyper[:-2])) ** 2).sum(axis=1))
                 own = own * (1 - twice) / 2
-            known = solve_triangular(_factor(self.z, hyper, self.priors)[0], across.T, lower=True)
+            known = solve_triangular(factor, across.T, lower=True)
             std[:, d] = np.sqrt(np.maximum(own - (known**2).sum(axis=0), 0)) / self.sample_time
         return std
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return what it is made of."""
-        return {name: np.asarray(value) for name, value in vars(self).items()}
+        return {each.name: np.asarray(getattr(self, each.name)) for each in fields(self)}
 
     @classmethod
     def from_arrays(cls, sample_time: Any, priors: Any, **arrays: Any) -> KernelModel:
@@ -220,11 +231,37 @@ class KernelModel:
         center = np.array([[*np.log(2 * z.std(axis=0) + 1e-3), math.log(2 * s), math.log(0.1 * s)] for s in size])
         hyper = center if before is None else before.hyper
         rows = np.sort(rng.permutation(len(z))[:_POINTS])
-        hyper = np.stack([_most_likely(z[rows], y[rows, e], priors, hyper[e], center[e]) for e in range(len(size))])
-        kept = np.sort(rng.permutation(len(z))[:_MOST])
-        z, y = z[kept], y[kept]
-        alpha = np.stack([cho_solve(_factor(z, hyper[e], priors), y[:, e]) for e in range(len(size))], axis=1)
-        return cls(z=z, alpha=alpha, hyper=hyper, sample_time=h, priors=priors)
+        steps = _FIRST_STEPS if before is None else _STEPS
+        hyper = np.stack(
+            [_most_likely(z[rows], y[rows, e], priors, hyper[e], center[e], steps) for e in range(len(size))]
+        )
+        centers = z[_spread(z / np.exp(hyper[:, :-2].mean(axis=0)), _CENTERS)]
+        alpha = np.stack([_weights(centers, z, y[:, e], hyper[e], priors) for e in range(len(size))], axis=1)
+        return cls(z=centers, alpha=alpha, hyper=hyper, sample_time=h, priors=priors)
+
+
+def _spread(z: Array, most: int) -> npt.NDArray[np.intp]:
+    """Return rows of z (N, D) of which each is as far as may be from those before it."""
+    rows, far = [0], np.full(len(z), math.inf)
+    while len(rows) < min(most, len(z)):
+        far = np.minimum(far, ((z - z[rows[-1]]) ** 2).sum(axis=1))
+        rows.append(int(far.argmax()))
+    return np.array(rows)
+
+
+def _weights(centers: Array, z: Array, y: Array, hyper: Array, priors: Priors) -> Array:
+    """Return the weights of kernels about centres, given all transitions: of a process that these kernels span.
+
+    Source: C. Rasmussen and C. Williams, 2006, section 8.3.1, the subset of regressors.
+    """
+    signs, noise = _signs(priors), np.exp(2 * hyper[-1])
+    own = _kernel(centers, centers, hyper, priors, signs)[0]
+    own[np.diag_indices_from(own)] += _EXACT * np.exp(2 * hyper[-2])
+    root = cholesky(own, lower=True, check_finite=False)
+    seen = solve_triangular(root, _kernel(centers, z, hyper, priors, signs)[0], lower=True)
+    square = seen @ seen.T
+    square[np.diag_indices_from(square)] += noise
+    return solve_triangular(root.T, cho_solve(cho_factor(square, lower=True), seen @ y))
 
 
 def _kernel(a: Array, b: Array, hyper: Array, priors: Priors, signs: Array) -> tuple[Array, list[Array]]:
@@ -243,8 +280,8 @@ def _factor(z: Array, hyper: Array, priors: Priors) -> tuple[Array, bool]:
     return cho_factor(K, lower=True, overwrite_a=True, check_finite=False)
 
 
-def _most_likely(z: Array, y: Array, priors: Priors, start: Array, center: Array) -> Array:
-    """Return the hyperparameters of greatest posterior density."""
+def _most_likely(z: Array, y: Array, priors: Priors, start: Array, center: Array, steps: int) -> Array:
+    """Return hyperparameters of great posterior density, after some steps of a search from others."""
     signs, n = _signs(priors), len(z)
     spread = np.array([1.0] * z.shape[1] + [1.0, 2.0])
     gaps = [[(a[:, None] - a) ** 2, (a[:, None] - s * a) ** 2] for a, s in zip(z.T, signs, strict=True)]
@@ -271,5 +308,5 @@ def _most_likely(z: Array, y: Array, priors: Priors, start: Array, center: Array
     limits = np.stack([center - 3.5, center + 3.5], axis=1)
     limits[-1] = center[-1] + math.log(10) + math.log(_JITTER), center[-1] + math.log(10)
     found = minimize(loss, np.clip(start, *limits.T), jac=True, method="L-BFGS-B", bounds=limits.tolist(),
-                     options={"maxiter": 40})  # fmt: skip
+                     options={"maxiter": steps})  # fmt: skip
     return found.x

@@ -39,7 +39,7 @@ from .settings import Flag, Nonnegative, Positive, Whole, check_settings
 from .training import Outcome, Progress, Seed, Session, Training
 
 _STREAM = 2011  # sets learning apart from starts drawn with the same seed
-_CANDIDATES = 6  # first plans of a run, each of them the cheapest of two random starts, or of none
+_STARTS = 0, 2, 2  # random starts of each of the first plans from which one is chosen; with none, always the same
 _DOUBT = 2.0  # times the standard deviation that a model states, which proves too small by about so much
 _REACH, _TIP = 0.5, 0.1  # m: of the cart from the middle, and of the tip from upright, where a swing-up has settled
 
@@ -98,9 +98,10 @@ class ModelPolicy(Saved):
         self.sample_time, self.force_limit, self.track_limit = sample_time, force_limit, track_limit
 
     @cached_property
-    def planner(self) -> ILQRMPC:
-        """The controller."""
-        return ILQRMPC(self._rig, model=self.model.model, starts=2)
+    def planners(self) -> list[ILQRMPC]:
+        """The controllers, one for each of the first plans from which one is chosen."""
+        model = self.model.model
+        return [ILQRMPC(self._rig, model=model, starts=starts) for starts in _STARTS]
 
     def attributed(self, about: Mapping[str, Any] | None) -> ModelPolicy:
         """Return the same policy with a provenance.
@@ -130,8 +131,8 @@ class ModelPolicy(Saved):
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for one run."""
-        laws = [self.planner.start(n, each) for each in rng.spawn(_CANDIDATES)]
-        return _Surest(laws, self.model, self.planner.P, self.force_limit)
+        laws = [each.start(n, own) for each, own in zip(self.planners, rng.spawn(len(_STARTS)), strict=True)]
+        return _Surest(laws, self.model, self.planners[0].P, self.force_limit)
 
     def uncertainty(self, x: npt.ArrayLike, u: npt.ArrayLike) -> Array:
         """Return the standard deviations (N, 3) of the accelerations believed in states (N, 6) under forces (N,).

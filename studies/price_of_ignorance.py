@@ -60,7 +60,7 @@ PRIORS: Mapping[str, tuple[Callable[..., Learner], float]] = {
 """What builds each learner, by its prior knowledge of the plant, and the greatest experience, s."""
 _PILCO = (100.0, 150.0)  # s: 20 to 30 trials of 5 s
 _ENOUGH = 0.9
-_STREAK = 4
+_STREAK = 6
 _WHITE = {"facecolor": "w", "edgecolor": "none", "pad": 1.0}
 _STREAM = 1014  # sets these starts apart from those of learning
 

@@ -176,7 +176,7 @@ def test_the_slopes_of_the_marginal_likelihood_of_kernels_are_those_of_finite_di
     x, u, y = random_states(rng, 25), rng.uniform(-3, 3, 25), rng.standard_normal(25)
     z = kernel_model._inputs(x, u, priors := Priors(True, True, False, mirror))
     center = np.append(np.full(z.shape[1], 0.7), [0.3, -1.0])
-    captured(monkeypatch, kernel_model, lambda: kernel_model._most_likely(z, y, priors, center, center + 0.3))
+    captured(monkeypatch, kernel_model, lambda: kernel_model._most_likely(z, y, priors, center, center + 0.3, 40))
 
 
 def captured(monkeypatch: pytest.MonkeyPatch, module: Any, search: Any) -> None:
