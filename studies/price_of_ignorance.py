@@ -2,7 +2,7 @@
 
 Method: learners that know more or less of the plant beforehand, on pilco2011 (20 N, held for .05 s, noise of .01 on all
 measurements) and on gustafsson2016 held for .05 s, exact; ten seeds, episodes of five seconds from hanging, ±0.1 rad,
-the first of random forces, until four in a row succeed or the experience is spent.  A swing-up succeeds if over its
+the first of random forces, until six in a row succeed or the experience is spent.  A swing-up succeeds if over its
 last second cart and tip are within .5 m and .1 m of their places upright.  Recorded are the experience and processor
 time until the first episode that succeeds, and until the second of two policies in a row that each swing up at least
 90 % of 50 fresh starts; one that failed in its own episode counts as one that does not, and is not evaluated.

@@ -14,12 +14,13 @@ from rigs import random_params, random_states, row, whole
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import dpend
+from controllers.ilqr_kernels import Plans
 from dpend.params import Array
 from rl import IdentifyAndPlan, ModelBased, ModelPolicy, Outcome, harmonic, joint_fit, kernel_model, load_policy
 from rl.harmonic import HarmonicModel, Posterior
 from rl.joint_fit import Episode
 from rl.kernel_model import KernelModel, Priors
-from rl.model_based import RandomForces, kalman, settled
+from rl.model_based import RandomForces, _Surest, kalman, settled
 
 RIG = dpend.rig("pilco2011")
 H = RIG.sample_time
@@ -270,6 +271,61 @@ def test_noise_as_great_as_the_motion_is_found_and_not_fitted(noise: float) -> N
     model = joint_fit.fit([Episode(run.y, run.u)], H, True, True, None)
     assert model is not None
     assert_allclose(model.sensor_noise, noise, rtol=0.3)
+
+
+@pytest.mark.parametrize("mirror", [True, False])
+def test_kernels_centred_on_every_transition_give_the_posterior_mean(mirror: bool) -> None:
+    rng = np.random.default_rng(0)
+    priors = Priors(True, True, True, mirror)
+    z = kernel_model._inputs(random_states(rng, 30), rng.uniform(-3, 3, 30), priors)
+    y, signs = rng.standard_normal(30), kernel_model._signs(priors)
+    hyper = np.append(np.full(z.shape[1], 1.0), [0.0, -2.0])
+    K = kernel_model._kernel(z, z, hyper, priors, signs)[0]
+    wanted = K @ np.linalg.solve(K + np.exp(2 * hyper[-1]) * np.eye(30), y)
+    found = K @ kernel_model._weights(z, z, y, hyper, priors)
+    assert_allclose(found, wanted, rtol=0, atol=1e-3 * np.abs(wanted).max())
+
+
+def test_centres_are_spread_over_all_inputs_and_none_is_taken_twice() -> None:
+    z = np.concatenate([0.01 * np.random.default_rng(0).standard_normal((50, 2)), [[3.0, 0.0], [0.0, -4.0]]])
+    assert {50, 51} <= set(kernel_model._spread(z, 3).tolist())
+    assert len(set(kernel_model._spread(z, 60).tolist())) == len(z)
+
+
+# ------------------------------------------------------------------------------------------------------------- planning
+
+
+class Planned:
+    """A law with a plan of one sample from a given height, and a cost."""
+
+    def __init__(self, height: float, cost: float, force: float) -> None:
+        x = np.array([[[height, 0.0, 0.0, 0.0, 0.0, 0.0]] * 2])
+        self.plans = Plans.blank(1, 1)._replace(x=x, cost=np.array([cost]))
+        self.log: dict[str, list[Array]] = {}
+        self.force, self.calls = force, 0
+
+    def __call__(self, t: float, y: Array) -> Array:
+        self.calls += 1
+        return np.array([self.force])
+
+
+def test_a_plan_is_not_taken_for_being_cheap_where_the_model_is_unsure(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = random_kernels(ALL, np.random.default_rng(0))
+    monkeypatch.setattr(KernelModel, "uncertainty", lambda self, x, u: np.repeat(np.abs(x[:, :1]), 3, axis=1))
+    sure, unsure, dear = Planned(0.0, 10.0, 1.0), Planned(50.0, 9.0, 2.0), Planned(0.0, 11.0, 3.0)
+    act = _Surest([unsure, dear, sure], model, np.eye(6), 20.0)
+    y = np.zeros((1, 6))
+    assert act(0.0, y)[0] == act(H, y)[0] == 1.0
+    assert [law.calls for law in (sure, unsure, dear)] == [2, 1, 1]
+    assert act.log is sure.log
+
+
+def test_no_plan_is_chosen_before_there_is_a_measurement() -> None:
+    model, (one, other) = random_kernels(ALL, np.random.default_rng(0)), (Planned(0.0, c, c) for c in (2.0, 1.0))
+    act, y = _Surest([one, other], model, np.eye(6), 20.0), np.zeros((1, 6))
+    act(0.0, np.full((1, 6), math.nan))
+    assert act(H, y)[0] == act(2 * H, y)[0] == 1.0
+    assert (one.calls, other.calls) == (2, 3)
 
 
 # ------------------------------------------------------------------------------------------------------------- learners
