@@ -27,7 +27,7 @@ from controllers.ilqr import Model
 from dpend.kernels import cos, inline, sin
 from dpend.params import Array
 
-_POINTS, _CENTERS = 200, 200  # transitions for the marginal likelihood, and centres of the posterior's kernels
+_POINTS, _CENTERS = 300, 500  # transitions for the marginal likelihood, and centres of the posterior's kernels
 _FIRST_STEPS, _STEPS = 40, 15  # of the search for hyperparameters, from their prior and from those before
 _EXACT = 1e-6  # share of a kernel's variance by which no function of its centres is the process
 _JITTER = 1e-3  # least noise, as a share of the changes
