@@ -29,8 +29,10 @@ from .tasks import STARTS, Balance, SwingUp
 from .trigonometry import make_sines
 
 # XLA calls the library for each sine in double precision, and does so anew in every kernel that needs it.
-_rates = equations.make_rates(*make_sines(jnp.rint))
+_sines = make_sines(jnp.rint)
+_rates = equations.make_rates(*_sines)
 _rk4 = equations.make_rk4(_rates)
+_rk4_without_coulomb = equations.make_rk4(equations.make_rates(*_sines, equations.no_coulomb))
 
 
 def _wrap_angle(angle: Any) -> Any:
@@ -67,7 +69,8 @@ def _sample(rig: Rig, x: Any, u: Any) -> Any:
     """Return six arrays a sample later; a loop and no stacks, or XLA computes a step anew for each of its results."""
     f, h = (jnp.clip(u, -rig.force_limit, rig.force_limit), 0.0, 0.0), rig.sample_time / rig.substeps
     c = rig.params.coefficients()
-    return jax.lax.fori_loop(0, rig.substeps, lambda _, x: _rk4(x, f, c, h), x)
+    rk4 = _rk4 if np.any(c.coulomb) else _rk4_without_coulomb  # a root takes XLA as long as all else
+    return jax.lax.fori_loop(0, rig.substeps, lambda _, x: rk4(x, f, c, h), x)
 
 
 def rollout(rig: Rig | str, law: Callable[[Any, Any], Any], x0: Any, steps: int) -> tuple[Any, Any]:
