@@ -82,7 +82,7 @@ def rollouts(rig: dpend.Rig, mujoco_rows: int) -> Race:
     add(f"closed loop, {COPIES} rows, a rig each", rig.replace(mass1=masses), COPIES, False)
     pairs: list[tuple[str, str, float | None]]
     pairs = [(name, theirs, 200.0 if name.endswith("rows") else None) for name in jobs]
-    pairs.append((f"closed loop, {COPIES} rows", BARE, 0.7))
+    pairs += [(BARE, theirs, None), (f"closed loop, {COPIES} rows", BARE, 0.7)]
     jobs[BARE] = bare_job(rig)
     if find_spec("mujoco"):
         jobs[theirs] = mujoco_job(rig, lqr, mujoco_rows)
