@@ -66,7 +66,8 @@ def fit(
 ) -> HarmonicModel | None:
     """Return the posterior after episodes, in samples of ``h`` s, sought from the model before if there is one.
 
-    Where less noise than there is lets the weights follow it, twice as much is begun with; None if no attempt succeeds.
+    Where that leads nowhere it is sought from nothing.  Where less noise than there is lets the weights follow it,
+    twice as much is begun with; None if no attempt succeeds.
     """
     gained = np.concatenate([np.diff(episode.y[:, 3:], axis=0) for episode in episodes])
     size = np.sqrt(np.mean(gained**2, axis=0)) / h + 1e-9
@@ -85,17 +86,15 @@ def fit(
         stds = [std[own] for std, own in zip(stds, columns, strict=True)]
         return _Basis(columns, stds, [slice(a, b) for a, b in pairwise(ends)])
 
-    known = before is not None
-    if before is None:
-        moved = np.concatenate([np.diff(episode.y[:, :3], axis=0) for episode in episodes]) - h * rates
-        noise = np.concatenate([np.sqrt(np.mean(moved**2, axis=0) / 2), 0.03 * h * size])
-        none = np.empty(0)
-        outputs = tuple(Posterior(none.astype(np.intp), none, none[:, None], hyper) for hyper in center)
-        before = HarmonicModel(outputs=outputs, sensor_noise=noise, sample_time=h, mirror=mirror)
-    rounds, learns_from = (_ROUNDS, 0) if known else (_FIRST_ROUNDS, _UNTAUGHT)
-    for attempt in range(_ATTEMPTS):
-        noise = before.sensor_noise * 2.0**attempt
-        model, states = replace(before, sensor_noise=noise), [episode.y for episode in episodes]
+    moved = np.concatenate([np.diff(episode.y[:, :3], axis=0) for episode in episodes]) - h * rates
+    noise = np.concatenate([np.sqrt(np.mean(moved**2, axis=0) / 2), 0.03 * h * size])
+    none = np.empty(0)
+    outputs = tuple(Posterior(none.astype(np.intp), none, none[:, None], hyper) for hyper in center)
+    first = HarmonicModel(outputs=outputs, sensor_noise=noise, sample_time=h, mirror=mirror)
+    anew = [replace(first, sensor_noise=noise * 2.0**attempt) for attempt in range(_ATTEMPTS)]
+    for start in anew if before is None else [before, *anew]:  # a model that new motion belies may lead nowhere
+        rounds, learns_from = (_ROUNDS, 0) if start is before else (_FIRST_ROUNDS, _UNTAUGHT)
+        model, states = start, [episode.y for episode in episodes]
         try:
             with np.errstate(all="ignore"):  # an attempt whose numbers overflow fails, and is made again
                 for k in range(rounds):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -264,6 +265,18 @@ def test_of_a_plant_drawn_from_the_prior_the_posterior_is_as_sure_as_it_may_be()
     assert np.mean(np.abs(off) < 2) > 0.85
 
 
+def test_where_the_model_before_leads_nowhere_a_model_is_sought_from_nothing() -> None:
+    (run,) = moved(1, seed=3)
+    episodes = [Episode(run.y, run.u)]
+    model = random_harmonic(True, np.random.default_rng(0))
+    lost = replace(model, outputs=tuple(each._replace(mean=1e200 * each.mean) for each in model.outputs))
+    found, fresh = (joint_fit.fit(episodes, H, True, False, before) for before in (lost, None))
+    assert found is not None
+    assert fresh is not None
+    for one, other in zip(found.outputs, fresh.outputs, strict=True):
+        assert_array_equal(one.mean, other.mean)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [pytest.param(0.1, marks=pytest.mark.nightly), 1.0])
 def test_noise_as_great_as_the_motion_is_found_and_not_fitted(noise: float) -> None:
@@ -366,11 +379,13 @@ def test_a_model_is_fitted_on_one_thread_and_the_callers_number_stays() -> None:
 
 @pytest.mark.slow
 def test_a_minute_of_experience_swings_up(tmp_path: Any) -> None:
-    training = ModelBased(RIG, streak=2).train(1000)
-    assert training.outcome is Outcome.CONVERGED
-    assert training.experience <= 30
-    assert_array_equal(training.curve["success"][-2:], True)
-    assert_allclose(training.details["noise"][-1], 0.01, rtol=0.3)
+    trainings = [ModelBased(RIG, streak=2).train(seed) for seed in (1000, 1001, 1002)]
+    for training in trainings:
+        assert training.outcome is Outcome.CONVERGED
+        assert_array_equal(training.curve["success"][-2:], True)
+    assert np.median([each.experience for each in trainings]) <= 30
+    assert_allclose(np.median([each.details["noise"][-1] for each in trainings], axis=0), 0.01, rtol=0.3)
+    training = trainings[0]
     short = ModelBased(RIG, streak=2).train(1000, seconds=7.0)  # the same, cut short
     assert_array_equal(short.curve["length"], [100, 40])
     policy = training.policy
