@@ -37,7 +37,7 @@ SCALAR, BATCH = "numba, scalar step", f"numba, simulate_many, {COPIES} rows"
 RIG = dpend.rig("gustafsson2016")
 _START = (0.0, 0.2, -0.1, 0.0, 0.0, 0.0)  # from where the links fall, again and again
 
-# With fused multiply-adds, as numba compiles: clang fuses within expressions unless told otherwise, gcc when told.
+# With fused multiply-adds, as numba compiles: clang fuses within expressions by default, gcc needs an option in C99.
 _NATIVE = {"gcc": ("-O3", "-march=native", "-ffp-contract=fast"), "clang": ("-O3", "-march=native")}
 _ROLLOUT = f", rollout, {COPIES} rows"
 _SINES = {"inline": "", "library": ", sines of the library"}

@@ -156,7 +156,7 @@ def plant(to: str, rig: Rig | str | None = None, *, real: str = "double", sines:
     sines : {"inline", "library"}
         Whether sine and cosine are the polynomials of :mod:`dpend.trigonometry`, written out, or the library's.  The
         polynomials are faster on a PC, and with them C and JavaScript agree to the last bit unless the compiler fuses
-        multiply-adds.  Their error is below 4e-16 for angles up to a million; in single precision it is that of the
+        multiply-adds.  Their error is below 4e-16 for angles up to 1e5; in single precision it is that of the
         angle's own rounding.
 
     Raises

@@ -92,7 +92,7 @@ def fit(
     outputs = tuple(Posterior(none.astype(np.intp), none, none[:, None], hyper) for hyper in center)
     first = HarmonicModel(outputs=outputs, sensor_noise=noise, sample_time=h, mirror=mirror)
     anew = [replace(first, sensor_noise=noise * 2.0**attempt) for attempt in range(_ATTEMPTS)]
-    for start in anew if before is None else [before, *anew]:  # a model that new motion belies may lead nowhere
+    for start in anew if before is None else [before, *anew]:  # a model that new motion contradicts may lead nowhere
         rounds, learns_from = (_ROUNDS, 0) if start is before else (_FIRST_ROUNDS, _UNTAUGHT)
         model, states = start, [episode.y for episode in episodes]
         try:

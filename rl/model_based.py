@@ -39,7 +39,6 @@ from .settings import Flag, Nonnegative, Positive, Whole, check_settings
 from .training import Outcome, Progress, Seed, Session, Training
 
 _STREAM = 2011  # sets learning apart from starts drawn with the same seed
-_STARTS = 0, 2, 2  # random starts of each of the first plans from which one is chosen; with none, always the same
 _DOUBT = 2.0  # times the standard deviation that a model states, which proves too small by about so much
 _REACH, _TIP = 0.5, 0.1  # m: of the cart from the middle, and of the tip from upright, where a swing-up has settled
 
@@ -98,10 +97,9 @@ class ModelPolicy(Saved):
         self.sample_time, self.force_limit, self.track_limit = sample_time, force_limit, track_limit
 
     @cached_property
-    def planners(self) -> list[ILQRMPC]:
-        """The controllers, one for each of the first plans from which one is chosen."""
-        model = self.model.model
-        return [ILQRMPC(self._rig, model=model, starts=starts) for starts in _STARTS]
+    def planner(self) -> ILQRMPC:
+        """The controller."""
+        return ILQRMPC(self._rig, model=self.model.model, starts=8)
 
     def attributed(self, about: Mapping[str, Any] | None) -> ModelPolicy:
         """Return the same policy with a provenance.
@@ -131,8 +129,8 @@ class ModelPolicy(Saved):
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for one run."""
-        laws = [each.start(n, own) for each, own in zip(self.planners, rng.spawn(len(_STARTS)), strict=True)]
-        return _Surest(laws, self.model, self.planners[0].P, self.force_limit)
+        law = self.planner.start(n, rng)
+        return _Filtered(law, self.model, self.force_limit) if isinstance(self.model, HarmonicModel) else law
 
     def uncertainty(self, x: npt.ArrayLike, u: npt.ArrayLike) -> Array:
         """Return the standard deviations (N, 3) of the accelerations believed in states (N, 6) under forces (N,).
@@ -195,44 +193,17 @@ class ModelPolicy(Saved):
         return cls(model, about=about, **settings)
 
 
-class _Surest:
-    r"""Of several laws the one whose first plan is expected to cost least, on the states that a filter estimates.
+class _Filtered:
+    """A law on the states that a model's filter estimates, with that law's own log."""
 
-    What a model is unsure of is added to what it believes a plan to cost, as if the regulator at the target, whose
-    costs are :math:`x^\top P x`, had to answer for it.
-    """
-
-    def __init__(self, laws: list[Any], model: HarmonicModel | KernelModel, P: Array, limit: float) -> None:
-        self._laws, self._model, self._limit, self._force = laws, model, limit, 0.0
-        self._follow = kalman(model) if isinstance(model, HarmonicModel) else lambda y, _: y
-        pushes = _pushes(model.sample_time)
-        self._costs = _DOUBT**2 * np.einsum("ij,ik,kj->j", pushes, P, pushes)
-
-    @property
-    def log(self) -> Mapping[str, list[Array]]:
-        """The log of the law in charge."""
-        return self._laws[0].log
+    def __init__(self, law: Any, model: HarmonicModel, limit: float) -> None:
+        self.log = law.log
+        self._law, self._follow, self._limit, self._force = law, kalman(model), limit, 0.0
 
     def __call__(self, t: float, y: Array) -> Array:
-        x = self._follow(y[0], self._force)[None]
-        forces = [law(t, x) for law in self._laws]
-        best = int(np.argmin([self._expected(law.plans) for law in self._laws])) if len(forces) > 1 else 0
-        if np.isfinite(x).all():
-            self._laws = [self._laws[best]]
-        self._force = float(np.clip(forces[best][0], -self._limit, self._limit))
-        return forces[best]
-
-    def _expected(self, plans: Any) -> float:
-        """Return the cost of a first plan and of what is not known of it."""
-        with np.errstate(all="ignore"):
-            doubts = self._model.uncertainty(plans.x[0, :-1], plans.u[0])
-            cost = float(plans.cost[0] + (doubts**2 @ self._costs).sum())
-        return cost if math.isfinite(cost) else math.inf
-
-
-def _pushes(h: float) -> Array:
-    """Return what accelerations (3,) held for a sample do to the state, (6, 3)."""
-    return np.concatenate([h**2 / 2 * np.eye(3), h * np.eye(3)])
+        force = self._law(t, self._follow(y[0], self._force)[None])
+        self._force = float(np.clip(force[0], -self._limit, self._limit))
+        return force
 
 
 def kalman(model: HarmonicModel) -> Callable[[Array, float], Array]:
@@ -241,7 +212,7 @@ def kalman(model: HarmonicModel) -> Callable[[Array, float], Array]:
     The motion strays from the model by what this is unsure of.
     """
     plan, h, noise = model.model, model.sample_time, np.diag(model.sensor_noise**2)
-    pushes, D = _pushes(h), np.empty((1, 6, 8))
+    pushes, D = np.concatenate([h**2 / 2 * np.eye(3), h * np.eye(3)]), np.empty((1, 6, 8))
     mean, covariance = np.full(6, math.nan), noise
 
     def follow(y: Array, force: float) -> Array:

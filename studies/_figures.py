@@ -34,7 +34,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#000000", "#5
 _LINES = ("-", "--", "-.", ":", (0, (6, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)), (0, (4, 1, 1, 1, 1, 1)))
 _MARKERS = ("o", "s", "D", "^", "v", "P", "X", "p")
 WIDTH = 6.8  # width of a figure, inches: that of a page's text
-MOST = 6  # curves in a panel that can be told apart
+MOST = 6  # curves in a panel, so that a reader can distinguish them
 
 
 def look() -> AbstractContextManager[None]:
@@ -48,7 +48,7 @@ def palette(names: Iterable[str]) -> dict[str, Style]:
 
 
 def parts(names: Sequence[str], most: int = MOST) -> list[list[str]]:
-    """Return names in as few parts as possible of at most so many, so that curves can be told apart."""
+    """Return names in as few parts as possible of at most ``most``, each for the curves of one panel."""
     count = -(-len(names) // most)
     size = -(-len(names) // count) if count else 1
     return [list(names[k : k + size]) for k in range(0, len(names), size)]

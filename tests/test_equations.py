@@ -418,6 +418,13 @@ def test_sine_and_cosine_err_by_less_than_5e_16_up_to_an_angle_of_30() -> None:
     assert np.abs(error).max() < 5e-16
 
 
+def test_sine_and_cosine_err_by_less_than_4e_16_up_to_an_angle_of_100_000() -> None:
+    angles = np.random.default_rng(13).uniform(-1e5, 1e5, 200_000)
+    wide = angles.astype(np.longdouble)
+    error = _sines_and_cosines(angles) - np.stack([np.sin(wide), np.cos(wide)])
+    assert np.abs(error).max() < 4e-16
+
+
 def test_sine_near_a_whole_number_of_half_turns_is_as_exact_as_any_other() -> None:
     angles = np.arange(1, 1000) * np.pi
     assert_allclose(_sines_and_cosines(angles)[0], np.sin(angles), rtol=1e-9)  # each about 1e-16

@@ -15,13 +15,12 @@ from rigs import random_params, random_states, row, whole
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import dpend
-from controllers.ilqr_kernels import Plans
 from dpend.params import Array
 from rl import IdentifyAndPlan, ModelBased, ModelPolicy, Outcome, harmonic, joint_fit, kernel_model, load_policy
 from rl.harmonic import HarmonicModel, Posterior
 from rl.joint_fit import Episode
 from rl.kernel_model import KernelModel, Priors
-from rl.model_based import RandomForces, _Surest, kalman, settled
+from rl.model_based import RandomForces, kalman, settled
 
 RIG = dpend.rig("pilco2011")
 H = RIG.sample_time
@@ -305,42 +304,6 @@ def test_centres_are_spread_over_all_inputs_and_none_is_taken_twice() -> None:
     assert len(set(kernel_model._spread(z, 60).tolist())) == len(z)
 
 
-# ------------------------------------------------------------------------------------------------------------- planning
-
-
-class Planned:
-    """A law with a plan of one sample from a given height, and a cost."""
-
-    def __init__(self, height: float, cost: float, force: float) -> None:
-        x = np.array([[[height, 0.0, 0.0, 0.0, 0.0, 0.0]] * 2])
-        self.plans = Plans.blank(1, 1)._replace(x=x, cost=np.array([cost]))
-        self.log: dict[str, list[Array]] = {}
-        self.force, self.calls = force, 0
-
-    def __call__(self, t: float, y: Array) -> Array:
-        self.calls += 1
-        return np.array([self.force])
-
-
-def test_a_plan_is_not_taken_for_being_cheap_where_the_model_is_unsure(monkeypatch: pytest.MonkeyPatch) -> None:
-    model = random_kernels(ALL, np.random.default_rng(0))
-    monkeypatch.setattr(KernelModel, "uncertainty", lambda self, x, u: np.repeat(np.abs(x[:, :1]), 3, axis=1))
-    sure, unsure, dear = Planned(0.0, 10.0, 1.0), Planned(50.0, 9.0, 2.0), Planned(0.0, 11.0, 3.0)
-    act = _Surest([unsure, dear, sure], model, np.eye(6), 20.0)
-    y = np.zeros((1, 6))
-    assert act(0.0, y)[0] == act(H, y)[0] == 1.0
-    assert [law.calls for law in (sure, unsure, dear)] == [2, 1, 1]
-    assert act.log is sure.log
-
-
-def test_no_plan_is_chosen_before_there_is_a_measurement() -> None:
-    model, (one, other) = random_kernels(ALL, np.random.default_rng(0)), (Planned(0.0, c, c) for c in (2.0, 1.0))
-    act, y = _Surest([one, other], model, np.eye(6), 20.0), np.zeros((1, 6))
-    act(0.0, np.full((1, 6), math.nan))
-    assert act(H, y)[0] == act(2 * H, y)[0] == 1.0
-    assert (one.calls, other.calls) == (2, 3)
-
-
 # ------------------------------------------------------------------------------------------------------------- learners
 
 
@@ -379,13 +342,11 @@ def test_a_model_is_fitted_on_one_thread_and_the_callers_number_stays() -> None:
 
 @pytest.mark.slow
 def test_a_minute_of_experience_swings_up(tmp_path: Any) -> None:
-    trainings = [ModelBased(RIG, streak=2).train(seed) for seed in (1000, 1001, 1002)]
-    for training in trainings:
-        assert training.outcome is Outcome.CONVERGED
-        assert_array_equal(training.curve["success"][-2:], True)
-    assert np.median([each.experience for each in trainings]) <= 30
-    assert_allclose(np.median([each.details["noise"][-1] for each in trainings], axis=0), 0.01, rtol=0.3)
-    training = trainings[0]
+    training = ModelBased(RIG, streak=2).train(1000)
+    assert training.outcome is Outcome.CONVERGED
+    assert training.experience <= 30
+    assert_array_equal(training.curve["success"][-2:], True)
+    assert_allclose(training.details["noise"][-1], 0.01, rtol=0.3)
     short = ModelBased(RIG, streak=2).train(1000, seconds=7.0)  # the same, cut short
     assert_array_equal(short.curve["length"], [100, 40])
     policy = training.policy
