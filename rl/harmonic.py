@@ -22,7 +22,8 @@ odd; gravity, if it alone tells up from down, leaves to each product waves of ev
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,7 +32,7 @@ import numpy.typing as npt
 
 from controllers.ilqr import Model
 from controllers.ilqr_kernels import Flow, make_flow
-from dpend.kernels import cos, inline, sin
+from dpend.kernels import inline
 from dpend.params import Array
 
 _TOGETHER, _APART = 7, 13  # the angle between the links is what the accelerations depend on least smoothly
@@ -46,21 +47,20 @@ WAVES = np.array(
 )
 """Orders (m, n) of the waves, one of each pair of opposite ones."""
 _EVEN, PRODUCTS = 7, 11
-_TURN = 2 * math.pi * np.arange(32) / 32
+_WHOLE = 2 * math.pi
+_TURN = _WHOLE * np.arange(32) / 32
 _GRID = (_TURN[:, None] + 0 * _TURN, 0 * _TURN[:, None] + _TURN, _TURN[:, None] - _TURN)
 _SUBSTEPS = 2
+_KNOTS = 64  # of the splines that planning takes in the place of the waves, about each angle
 _TURNED = np.array([-1, 1, -1, -1, 1, 1, 1, -1, -1, 1, 1])
 """Sign of each product's coefficient for links, after half a turn of everything; for the cart it is the opposite."""
 
 
 class Field(NamedTuple):
-    """Weights as the compiled code takes them: of sines and cosines, three columns for each product."""
+    """The products' coefficients over both angles as the compiled code takes them: of cubic B-splines."""
 
-    waves: npt.NDArray[np.intp]
-    sines: Array
-    cosines: Array
-    sines_end: int
-    cosines_start: int
+    splines: Array
+    """On a grid of both angles, a row (33,) each: eleven products, three accelerations a product."""
 
 
 def products(rates: Array, u: Array) -> Array:
@@ -70,39 +70,35 @@ def products(rates: Array, u: Array) -> Array:
 
 
 @inline
-def _waves(th, c, s):
-    c[0], s[0] = 1.0, 0.0
-    c[1], s[1] = cos(th), sin(th)
-    for m in range(2, ORDER + 1):
-        c[m] = c[m - 1] * c[1] - s[m - 1] * s[1]
-        s[m] = s[m - 1] * c[1] + c[m - 1] * s[1]
+def _basis(angle):
+    """Return the first of four splines that are not zero at an angle, the four, and their slopes."""
+    turns = angle * (1.0 / _WHOLE)
+    share = (turns - math.floor(turns)) * _KNOTS
+    i = min(int(share), _KNOTS - 1) if share >= 0.0 else 0  # and so if it is not a number
+    t = share - i
+    r, per = 1.0 - t, 0.5 * _KNOTS / _WHOLE
+    return (
+        i,
+        (r * r * r / 6.0, t * t * (0.5 * t - 1.0) + 2.0 / 3.0, r * r * (0.5 * r - 1.0) + 2.0 / 3.0, t * t * t / 6.0),
+        (-per * r * r, per * t * (3.0 * t - 4.0), -per * r * (3.0 * r - 4.0), per * t * t),
+    )
 
 
 @inline
 def _sums(x, c, slopes):
     """Return the coefficients of the products (33,), and their slopes by both angles if asked for."""
-    c1, s1, c2, s2 = np.empty(ORDER + 1), np.empty(ORDER + 1), np.empty(ORDER + 1), np.empty(ORDER + 1)
-    _waves(x[1], c1, s1)
-    _waves(x[2], c2, s2)
+    i1, b1, d1 = _basis(x[1])
+    i2, b2, d2 = _basis(x[2])
     G, G1, G2 = np.zeros(3 * PRODUCTS), np.zeros(3 * PRODUCTS), np.zeros(3 * PRODUCTS)
-    for j in range(c.cosines_start, 3 * PRODUCTS):
-        G[j] = c.cosines[0, j]
-    for k in range(len(c.waves)):
-        m, n = c.waves[k, 0], c.waves[k, 1]
-        cn, sn = c2[abs(n)], s2[abs(n)] if n >= 0 else -s2[abs(n)]
-        sine = s1[m] * cn + c1[m] * sn
-        cosine = c1[m] * cn - s1[m] * sn
-        for j in range(c.sines_end):
-            G[j] += c.sines[k, j] * sine
-        for j in range(c.cosines_start, 3 * PRODUCTS):
-            G[j] += c.cosines[k + 1, j] * cosine
-        if slopes:
-            for j in range(c.sines_end):
-                G1[j] += c.sines[k, j] * (m * cosine)
-                G2[j] += c.sines[k, j] * (n * cosine)
-            for j in range(c.cosines_start, 3 * PRODUCTS):
-                G1[j] -= c.cosines[k + 1, j] * (m * sine)
-                G2[j] -= c.cosines[k + 1, j] * (n * sine)
+    for a in range(4):
+        for b in range(4):
+            row, here, by1, by2 = c.splines[i1 + a, i2 + b], b1[a] * b2[b], d1[a] * b2[b], b1[a] * d2[b]
+            for j in range(3 * PRODUCTS):
+                G[j] += here * row[j]
+            if slopes:
+                for j in range(3 * PRODUCTS):
+                    G1[j] += by1 * row[j]
+                    G2[j] += by2 * row[j]
     return G, G1, G2
 
 
@@ -193,6 +189,19 @@ def variances(hyper: Array, mirror: bool) -> tuple[Array, Array]:
     return found, np.array(slopes)
 
 
+def _splines(weights: Array, mirror: bool) -> Array:
+    """Return the cubic splines that equal the series of given weights (F, 3) at the knots, wrapped about."""
+    of_sines, of_cosines = (_EVEN, PRODUCTS - _EVEN) if mirror else (PRODUCTS, PRODUCTS)
+    sines, cosines = np.repeat(WAVES, of_sines, axis=0), np.repeat([(0, 0), *WAVES], of_cosines, axis=0)
+    spectrum = np.zeros((_KNOTS, _KNOTS, PRODUCTS, 3), dtype=np.complex128)
+    spectrum[*sines.T, by_product(mirror)[: len(sines)]] = -1j * weights[: len(sines)]
+    spectrum[*cosines.T, by_product(mirror)[len(sines) :]] += weights[len(sines) :]
+    own = (2 + np.cos(_WHOLE * np.arange(_KNOTS) / _KNOTS)) / 3  # of a wave, in splines of its own values at the knots
+    spectrum *= _KNOTS**2 / (own[:, None] * own)[:, :, None, None]
+    knots = np.fft.ifft2(spectrum, axes=(0, 1)).real
+    return np.pad(knots.reshape(_KNOTS, _KNOTS, -1), ((1, 2), (1, 2), (0, 0)), mode="wrap")
+
+
 class Posterior(NamedTuple):
     """What is believed of the weights of one acceleration."""
 
@@ -227,23 +236,15 @@ class HarmonicModel:
 
     kind = "harmonic"
 
-    @property
+    @cached_property
     def parameters(self) -> Flow:
         """What :data:`step` takes."""
-        n, of_sines = len(WAVES), _EVEN if self.mirror else PRODUCTS
-        cut = n * of_sines
-        sines, cosines = np.zeros((n, 3 * PRODUCTS)), np.zeros((n + 1, 3 * PRODUCTS))
-        start = 3 * _EVEN if self.mirror else 0
-        weights = np.zeros((3, len(by_product(self.mirror))))
-        for row, output in zip(weights, self.outputs, strict=True):
-            row[output.columns] = output.mean
-        sines[:, : 3 * of_sines] = weights[:, :cut].reshape(3, n, -1).transpose(1, 2, 0).reshape(n, -1)
-        cosines[:, start:] = weights[:, cut:].reshape(3, n + 1, -1).transpose(1, 2, 0).reshape(n + 1, -1)
-        used = (sines != 0).any(axis=1) | (cosines[1:] != 0).any(axis=1)
-        field = Field(WAVES[used], sines[used], cosines[np.append(True, used)], 3 * of_sines, start)
-        return Flow(field, self.sample_time / _SUBSTEPS, _SUBSTEPS)
+        weights = np.zeros((len(by_product(self.mirror)), 3))
+        for column, output in zip(weights.T, self.outputs, strict=True):
+            column[output.columns] = output.mean
+        return Flow(Field(_splines(weights, self.mirror)), self.sample_time / _SUBSTEPS, _SUBSTEPS)
 
-    @property
+    @cached_property
     def model(self) -> Model:
         """What a planner takes."""
         sources = Path(__file__), Path(__file__).parent.parent / "controllers"
@@ -265,6 +266,16 @@ class HarmonicModel:
         seen = [known[:, output.columns] for output in self.outputs]
         squares = [((a @ output.covariance) * a).sum(axis=1) for a, output in zip(seen, self.outputs, strict=True)]
         return np.sqrt(np.maximum(np.column_stack(squares), 0.0))
+
+    def drawn(self, rng: np.random.Generator) -> HarmonicModel:
+        """Return a model drawn from what is believed."""
+
+        def draw(output: Posterior) -> Posterior:
+            variances, axes = np.linalg.eigh(output.covariance)
+            moved = axes @ (np.sqrt(np.maximum(variances, 0)) * rng.standard_normal(len(variances)))
+            return output._replace(mean=output.mean + moved)
+
+        return replace(self, outputs=tuple(map(draw, self.outputs)))
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
         """Return what it is made of."""

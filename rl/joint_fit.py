@@ -40,6 +40,7 @@ _STEPS = 8  # of the search for hyperparameters, in a round
 _SUBSTEPS = 4
 _NEGLIGIBLE = 1e-3  # share of the accelerations below which a prior weight is left at zero
 _UNEXPLAINED = 5e-3  # share of the accelerations by which motion strays from any model
+_LEAST = 0.3  # share of that below which noise is not sought: a model would follow what it cannot explain
 _FARTHEST = 6.0  # standard deviations of the noise: states are not sought beyond, where a model is not yet one
 _LENGTHS = math.log(0.5), math.log(20.0)
 _SPREAD = np.array([*[0.8] * 3, *[1.5] * PRODUCTS])
@@ -154,7 +155,7 @@ def _round(
         rows = sum(len(z) for _, z in whitened)
         free = max(rows - (len(w) - spread.sum()), 0.1 * rows)
         sensor = sensor * np.sqrt(np.clip(found / expected * rows / free, 0.25, 4.0))
-        sensor = np.maximum(sensor, 0.02 * np.concatenate([h * process, process]))
+        sensor = np.maximum(sensor, _LEAST * np.concatenate([h * process, process]))
     believed = []
     for columns, std, part, hyper in zip(*basis, hypers, strict=True):
         scale = std * ratio[part]

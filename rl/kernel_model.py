@@ -29,6 +29,8 @@ from dpend.params import Array
 
 _POINTS, _CENTERS = 300, 500  # transitions for the marginal likelihood, and centres of the posterior's kernels
 _FIRST_STEPS, _STEPS = 40, 15  # of the search for hyperparameters, from their prior and from those before
+_ROUNDS = 2  # of the search: the first takes the noise of all changes for equal
+_NOISIEST = 200.0  # times the usual variance, at most
 _EXACT = 1e-6  # share of a kernel's variance by which no function of its centres is the process
 _JITTER = 1e-3  # least noise, as a share of the changes
 
@@ -175,7 +177,7 @@ class KernelModel:
 
     kind = "kernel"
 
-    @property
+    @cached_property
     def model(self) -> Model:
         """What a planner takes."""
         z, alpha = self.z, self.alpha * np.exp(2 * self.hyper[:, -2])
@@ -229,15 +231,29 @@ class KernelModel:
         z, y = _inputs(data.x, data.u, priors), (data.after - data.x)[:, 3 if priors.second_order else 0 :]
         size = np.sqrt(np.mean(y**2, axis=0)) + 1e-9
         center = np.array([[*np.log(2 * z.std(axis=0) + 1e-3), math.log(2 * s), math.log(0.1 * s)] for s in size])
-        hyper = center if before is None else before.hyper
+        hyper, steps = (center, _FIRST_STEPS) if before is None else (before.hyper, _STEPS)
         rows = np.sort(rng.permutation(len(z))[:_POINTS])
-        steps = _FIRST_STEPS if before is None else _STEPS
-        hyper = np.stack(
-            [_most_likely(z[rows], y[rows, e], priors, hyper[e], center[e], steps) for e in range(len(size))]
-        )
-        centers = z[_spread(z / np.exp(hyper[:, :-2].mean(axis=0)), _CENTERS)]
-        alpha = np.stack([_weights(centers, z, y[:, e], hyper[e], priors) for e in range(len(size))], axis=1)
-        return cls(z=centers, alpha=alpha, hyper=hyper, sample_time=h, priors=priors)
+        model: KernelModel | None = None
+        for _ in range(_ROUNDS):
+            noisier = np.ones_like(y) if model is None else model._noisier(data)
+            hyper = np.stack([
+                _most_likely(z[rows], y[rows, e], noisier[rows, e], priors, hyper[e], center[e], steps)
+                for e in range(len(size))
+            ])  # fmt: skip
+            centers = z[_spread(z / np.exp(hyper[:, :-2].mean(axis=0)), _CENTERS)]
+            alpha = [_weights(centers, z, y[:, e], noisier[:, e], hyper[e], priors) for e in range(len(size))]
+            model = cls(z=centers, alpha=np.stack(alpha, axis=1), hyper=hyper, sample_time=h, priors=priors)
+        assert model is not None
+        return model
+
+    def _noisier(self, data: Transitions) -> Array:
+        """Return how many times the usual variance each measured change (N, E) has, as noise of the state enters it.
+
+        Of changes that noise of size s of the states before and after moves by the slopes D, it is s^2 (1 + D D^T).
+        """
+        D = np.empty((len(data.u), 6, 8))
+        self.model.loops.linearize(np.append(data.x, data.after[-1:], axis=0), data.u, self.model.parameters, D)
+        return np.minimum((1 + (D[:, 6 - self.alpha.shape[1] :, :6] ** 2).sum(axis=2)) / 2, _NOISIEST)
 
 
 def _spread(z: Array, most: int) -> npt.NDArray[np.intp]:
@@ -249,7 +265,7 @@ def _spread(z: Array, most: int) -> npt.NDArray[np.intp]:
     return np.array(rows)
 
 
-def _weights(centers: Array, z: Array, y: Array, hyper: Array, priors: Priors) -> Array:
+def _weights(centers: Array, z: Array, y: Array, noisier: Array, hyper: Array, priors: Priors) -> Array:
     """Return the weights of kernels about centres, given all transitions: of a process that these kernels span.
 
     Source: C. Rasmussen and C. Williams, 2006, section 8.3.1, the subset of regressors.
@@ -258,10 +274,10 @@ def _weights(centers: Array, z: Array, y: Array, hyper: Array, priors: Priors) -
     own = _kernel(centers, centers, hyper, priors, signs)[0]
     own[np.diag_indices_from(own)] += _EXACT * np.exp(2 * hyper[-2])
     root = cholesky(own, lower=True, check_finite=False)
-    seen = solve_triangular(root, _kernel(centers, z, hyper, priors, signs)[0], lower=True)
+    seen = solve_triangular(root, _kernel(centers, z, hyper, priors, signs)[0], lower=True) / np.sqrt(noisier)
     square = seen @ seen.T
     square[np.diag_indices_from(square)] += noise
-    return solve_triangular(root.T, cho_solve(cho_factor(square, lower=True), seen @ y))
+    return solve_triangular(root.T, cho_solve(cho_factor(square, lower=True), seen @ (y / np.sqrt(noisier))))
 
 
 def _kernel(a: Array, b: Array, hyper: Array, priors: Priors, signs: Array) -> tuple[Array, list[Array]]:
@@ -280,7 +296,7 @@ def _factor(z: Array, hyper: Array, priors: Priors) -> tuple[Array, bool]:
     return cho_factor(K, lower=True, overwrite_a=True, check_finite=False)
 
 
-def _most_likely(z: Array, y: Array, priors: Priors, start: Array, center: Array, steps: int) -> Array:
+def _most_likely(z: Array, y: Array, noisier: Array, priors: Priors, start: Array, center: Array, steps: int) -> Array:
     """Return hyperparameters of great posterior density, after some steps of a search from others."""
     signs, n = _signs(priors), len(z)
     spread = np.array([1.0] * z.shape[1] + [1.0, 2.0])
@@ -288,7 +304,7 @@ def _most_likely(z: Array, y: Array, priors: Priors, start: Array, center: Array
 
     def loss(h: Array) -> tuple[float, Array]:
         K, parts = _kernel(z, z, h, priors, signs)
-        noise = np.exp(2 * h[-1])
+        noise = noisier * np.exp(2 * h[-1])
         weights = (parts[0] / 2, -parts[1] / 2) if priors.mirror else (parts[0],)
         noisy = K.copy()
         noisy[np.diag_indices(n)] += noise + 1e-9 * np.exp(2 * h[-2])
@@ -300,7 +316,7 @@ def _most_likely(z: Array, y: Array, priors: Priors, start: Array, center: Array
         weighed = [W * part for part in weights]
         for j, gap in enumerate(gaps):
             slope[j] = 0.5 * np.exp(-2 * h[j]) * sum(np.vdot(each, g) for each, g in zip(weighed, gap, strict=False))
-        slope[-2], slope[-1] = np.vdot(W, K), noise * np.trace(W)
+        slope[-2], slope[-1] = np.vdot(W, K), noise @ W.diagonal()
         away = (h - center) / spread
         value = 0.5 * y @ alpha + np.log(factor[0].diagonal()).sum() + 0.5 * away @ away
         return float(value), slope + away / spread

@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 import dpend
 from controllers.ilqr import ILQRMPC
+from controllers.ilqr_kernels import Plans
 from dpend.arguments import checked_array
 from dpend.controller import Act
 from dpend.params import Array, Params
@@ -39,7 +40,9 @@ from .settings import Flag, Nonnegative, Positive, Whole, check_settings
 from .training import Outcome, Progress, Seed, Session, Training
 
 _STREAM = 2011  # sets learning apart from starts drawn with the same seed
+_STARTS = 0, 2, 2  # random starts of each first plan from which one is chosen; with none, it is always the same
 _DOUBT = 2.0  # times the standard deviation that a model states, which proves too small by about so much
+_LASTING = 4.0  # the same along a plan, where a model errs in the same way from one sample to the next
 _REACH, _TIP = 0.5, 0.1  # m: of the cart from the middle, and of the tip from upright, where a swing-up has settled
 
 
@@ -97,9 +100,10 @@ class ModelPolicy(Saved):
         self.sample_time, self.force_limit, self.track_limit = sample_time, force_limit, track_limit
 
     @cached_property
-    def planner(self) -> ILQRMPC:
-        """The controller."""
-        return ILQRMPC(self._rig, model=self.model.model, starts=8)
+    def planners(self) -> list[ILQRMPC]:
+        """The controllers, one for each first plan from which one is chosen."""
+        model = self.model.model
+        return [ILQRMPC(self._rig, model=model, starts=starts) for starts in _STARTS]
 
     def attributed(self, about: Mapping[str, Any] | None) -> ModelPolicy:
         """Return the same policy with a provenance.
@@ -129,8 +133,8 @@ class ModelPolicy(Saved):
 
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for one run."""
-        law = self.planner.start(n, rng)
-        return _Filtered(law, self.model, self.force_limit) if isinstance(self.model, HarmonicModel) else law
+        each = zip(self.planners, rng.spawn(len(_STARTS)), strict=True)
+        return _Surest([planner.start(n, own) for planner, own in each], self.model, self.planners[0].P, self._rig)
 
     def uncertainty(self, x: npt.ArrayLike, u: npt.ArrayLike) -> Array:
         """Return the standard deviations (N, 3) of the accelerations believed in states (N, 6) under forces (N,).
@@ -193,17 +197,50 @@ class ModelPolicy(Saved):
         return cls(model, about=about, **settings)
 
 
-class _Filtered:
-    """A law on the states that a model's filter estimates, with that law's own log."""
+class _Surest:
+    """Of several laws the one whose first plan is expected to cost least, on the states that a filter estimates."""
 
-    def __init__(self, law: Any, model: HarmonicModel, limit: float) -> None:
-        self.log = law.log
-        self._law, self._follow, self._limit, self._force = law, kalman(model), limit, 0.0
+    def __init__(self, laws: list[Any], model: HarmonicModel | KernelModel, P: Array, rig: Rig) -> None:
+        self._laws, self._model, self._P, self._limit, self._force = laws, model, P, float(rig.force_limit), 0.0
+        self._follow = kalman(model) if isinstance(model, HarmonicModel) else lambda y, _: y
+
+    @property
+    def log(self) -> Mapping[str, list[Array]]:
+        """The log of the law in charge."""
+        return self._laws[0].log
 
     def __call__(self, t: float, y: Array) -> Array:
-        force = self._law(t, self._follow(y[0], self._force)[None])
-        self._force = float(np.clip(force[0], -self._limit, self._limit))
-        return force
+        x = self._follow(y[0], self._force)[None]
+        forces = [law(t, x) for law in self._laws]
+        if len(forces) > 1 and np.isfinite(x).all():
+            best = int(np.argmin([expected_cost(law.plans, self._model, self._P) for law in self._laws]))
+            self._laws, forces = [self._laws[best]], [forces[best]]
+        self._force = float(np.clip(forces[0][0], -self._limit, self._limit))
+        return forces[0]
+
+
+def expected_cost(plans: Plans, model: HarmonicModel | KernelModel, P: Array) -> float:
+    r"""Return :math:`J + \sum_k \operatorname{tr}(G^\top V_{k+1} G\, \Sigma_k)` of a single plan of cost :math:`J`.
+
+    The accelerations' covariance :math:`\Sigma_k` is taken for sixteen times what the model states, :math:`G` is what
+    they do in a sample, and :math:`V_k = (A_k + B_k K_k)^\top V_{k+1} (A_k + B_k K_k)`, :math:`V_N = P`, what a small
+    deviation costs by the end under the plan's own gains.
+    """
+    x, u, K = plans.x[0], plans.u[0], plans.K[0]
+    G, D, V, cost = _pushes(model.sample_time), np.empty((len(u), 6, 8)), P, float(plans.cost[0])
+    with np.errstate(all="ignore"):  # a plan may lead beyond all numbers
+        model.model.loops.linearize(x, u, model.model.parameters, D)
+        closed = D[:, :, :6] + D[:, :, 6:7] * K[:, None]
+        doubts = (_LASTING * model.uncertainty(x[:-1], u)) ** 2
+        for A, doubt in zip(closed[::-1], doubts[::-1], strict=True):
+            cost += doubt @ np.einsum("ij,ik,kj->j", G, V, G)
+            V = A.T @ V @ A
+    return cost if math.isfinite(cost) else math.inf
+
+
+def _pushes(h: float) -> Array:
+    """Return what accelerations (3,) held for a sample do to the state, (6, 3)."""
+    return np.concatenate([h**2 / 2 * np.eye(3), h * np.eye(3)])
 
 
 def kalman(model: HarmonicModel) -> Callable[[Array, float], Array]:
@@ -212,7 +249,7 @@ def kalman(model: HarmonicModel) -> Callable[[Array, float], Array]:
     The motion strays from the model by what this is unsure of.
     """
     plan, h, noise = model.model, model.sample_time, np.diag(model.sensor_noise**2)
-    pushes, D = np.concatenate([h**2 / 2 * np.eye(3), h * np.eye(3)]), np.empty((1, 6, 8))
+    pushes, D = _pushes(h), np.empty((1, 6, 8))
     mean, covariance = np.full(6, math.nan), noise
 
     def follow(y: Array, force: float) -> Array:
@@ -286,8 +323,9 @@ def episodes_of(learner: Any) -> SwingUp:
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # more round differently, and wait for one another on busy cores
 def practise(
-    learner: Any, session: Session, first: int, fit: Callable[[list[Run], Policy | None], Policy | None]
-) -> tuple[list[Run], list[Policy], list[int], list[bool]]:
+    learner: Any, session: Session, first: int, fit: Callable[[list[Run], Policy | None], Policy | None],
+    driving: Callable[[Policy], Policy] = lambda policy: policy,
+) -> tuple[list[Run], list[Policy], list[int], list[bool]]:  # fmt: skip
     """Act in episodes, fitting after each what drives the next; end after the learner's streak of successes.
 
     Parameters
@@ -299,7 +337,9 @@ def practise(
     first : int
         Samples of the first episode, of random forces; so is every other until there is something fitted.
     fit : callable
-        What drives the next episode, given all runs so far and what drove the last; None if they do not tell.
+        What they teach, given all runs so far and what was fitted last; None if they do not tell.
+    driving : callable
+        What drives the next episode, given what was fitted.
 
     Returns
     -------
@@ -319,7 +359,7 @@ def practise(
     success: list[bool] = []
     policy: Policy | None = None
     while len(runs) < learner.episodes and session.left > 0 and not (len(success) >= streak and all(success[-streak:])):
-        law: Any = RandomForces(rig) if policy is None else policy
+        law: Any = RandomForces(rig) if policy is None else driving(policy)
         steps = min(task.steps if policies else first, session.left)
         x0 = task.starts(session.rng, 1, rig)[0]
         seed = int(session.rng.integers(2**31))
@@ -381,6 +421,9 @@ class ModelBased:
         angles; needs the first three.
     gravity : bool
         That gravity alone tells up from down: half a turn of everything reverses it, and nothing else; needs structure.
+    sampling : bool
+        Whether each episode is planned on a model drawn from what is believed, so as to learn where that is unsure,
+        instead of on its mean; needs structure.
     episode_seconds : float
         Length of an episode, s.
     angle_spread : float
@@ -408,6 +451,7 @@ class ModelBased:
     mirror: Flag = True
     structure: Flag = True
     gravity: Flag = True
+    sampling: Flag = False
     episode_seconds: Positive = 5.0
     angle_spread: Nonnegative = 0.1
     episodes: Whole = 12
@@ -421,10 +465,11 @@ class ModelBased:
                 "structure is stated in angles, accelerations and no position: expected it to be False without angles, "
                 "second_order and cart_invariance; got True."
             )
-        if self.gravity and not self.structure:
-            raise ValueError(
-                "gravity is stated of the coefficients of the structure: expected it to be False without; got True."
-            )
+        for name, of in (("gravity", "is stated of"), ("sampling", "draws")):
+            if getattr(self, name) and not self.structure:
+                raise ValueError(
+                    f"{name} {of} the coefficients of the structure: expected it to be False without; got True."
+                )
 
     @property
     def task(self) -> SwingUp:
@@ -452,7 +497,11 @@ class ModelBased:
             )
             return policy if model is None else ModelPolicy(model, **settings)
 
-        runs, policies, spent, success = practise(self, session, self.task.steps, fit)
+        def driving(policy: ModelPolicy) -> ModelPolicy:
+            model: Any = policy.model
+            return ModelPolicy(model.drawn(rng), **settings) if self.sampling else policy
+
+        runs, policies, spent, success = practise(self, session, self.task.steps, fit, driving)
         if not policies:
             raise RuntimeError(
                 f"ModelBased found no model in {session.spent * h:g} s of experience: expected measurements with less "

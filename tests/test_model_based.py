@@ -15,12 +15,14 @@ from rigs import random_params, random_states, row, whole
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import dpend
+from controllers import ILQRMPC
+from controllers.ilqr_kernels import Plans
 from dpend.params import Array
 from rl import IdentifyAndPlan, ModelBased, ModelPolicy, Outcome, harmonic, joint_fit, kernel_model, load_policy
 from rl.harmonic import HarmonicModel, Posterior
 from rl.joint_fit import Episode
 from rl.kernel_model import KernelModel, Priors
-from rl.model_based import RandomForces, kalman, settled
+from rl.model_based import RandomForces, _Surest, expected_cost, kalman, settled
 
 RIG = dpend.rig("pilco2011")
 H = RIG.sample_time
@@ -136,6 +138,31 @@ def test_the_harmonics_stand_for_the_kernel_of_sine_and_cosine(mirror: bool) -> 
     assert_allclose(found, wanted, rtol=0, atol=1e-4 * np.abs(wanted).max())
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("mirror", [True, False])
+def test_plans_are_made_on_splines_that_stand_for_the_harmonics(mirror: bool) -> None:
+    rng = np.random.default_rng(0)
+    model = random_harmonic(mirror, rng)
+    x, u, field = random_states(rng, 100), rng.uniform(-3, 3, 100), model.parameters.field
+    x[:, 1:3] += 2 * math.pi * rng.integers(-3, 4, (100, 2))
+    found = np.array([harmonic._rates(tuple(one), (force, 0.0, 0.0), field) for one, force in zip(x, u, strict=True)])
+    wanted = model.accelerations(x, u)
+    assert_allclose(found[:, 3:], wanted, rtol=0, atol=1e-3 * np.abs(wanted).max())
+    lost = harmonic._rates((0.0, math.nan, 0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), field)
+    assert np.isnan(lost[3:]).all()
+
+
+def test_models_are_drawn_as_they_are_believed() -> None:
+    rng = np.random.default_rng(0)
+    model = random_harmonic(True, rng)
+    half = rng.standard_normal((3, 2))
+    few = Posterior(np.array([3, 8, 20]), np.array([1.0, -2.0, 0.5]), half @ half.T, np.zeros(14))
+    drawn = [replace(model, outputs=(few,) * 3).drawn(rng) for _ in range(2000)]
+    means = np.concatenate([[output.mean for output in each.outputs] for each in drawn])
+    assert_allclose(means.mean(axis=0), few.mean, rtol=0, atol=0.15)
+    assert_allclose(np.cov(means.T), few.covariance, rtol=0, atol=0.1 * np.abs(few.covariance).max())
+
+
 @pytest.mark.parametrize("known", [True, False])
 def test_half_a_turn_of_everything_reverses_gravity_alone_for_plants_and_for_models_that_know(known: bool) -> None:
     rng = np.random.default_rng(0)
@@ -175,9 +202,12 @@ def test_the_slopes_of_the_marginal_likelihood_of_kernels_are_those_of_finite_di
 ) -> None:
     rng = np.random.default_rng(0)
     x, u, y = random_states(rng, 25), rng.uniform(-3, 3, 25), rng.standard_normal(25)
+    noisier = rng.uniform(1, 50, 25)
     z = kernel_model._inputs(x, u, priors := Priors(True, True, False, mirror))
     center = np.append(np.full(z.shape[1], 0.7), [0.3, -1.0])
-    captured(monkeypatch, kernel_model, lambda: kernel_model._most_likely(z, y, priors, center, center + 0.3, 40))
+    captured(
+        monkeypatch, kernel_model, lambda: kernel_model._most_likely(z, y, noisier, priors, center, center + 0.3, 40)
+    )
 
 
 def captured(monkeypatch: pytest.MonkeyPatch, module: Any, search: Any) -> None:
@@ -293,8 +323,9 @@ def test_kernels_centred_on_every_transition_give_the_posterior_mean(mirror: boo
     y, signs = rng.standard_normal(30), kernel_model._signs(priors)
     hyper = np.append(np.full(z.shape[1], 1.0), [0.0, -2.0])
     K = kernel_model._kernel(z, z, hyper, priors, signs)[0]
-    wanted = K @ np.linalg.solve(K + np.exp(2 * hyper[-1]) * np.eye(30), y)
-    found = K @ kernel_model._weights(z, z, y, hyper, priors)
+    noisier = rng.uniform(1, 50, 30)
+    wanted = K @ np.linalg.solve(K + np.exp(2 * hyper[-1]) * np.diag(noisier), y)
+    found = K @ kernel_model._weights(z, z, y, noisier, hyper, priors)
     assert_allclose(found, wanted, rtol=0, atol=1e-3 * np.abs(wanted).max())
 
 
@@ -302,6 +333,66 @@ def test_centres_are_spread_over_all_inputs_and_none_is_taken_twice() -> None:
     z = np.concatenate([0.01 * np.random.default_rng(0).standard_normal((50, 2)), [[3.0, 0.0], [0.0, -4.0]]])
     assert {50, 51} <= set(kernel_model._spread(z, 3).tolist())
     assert len(set(kernel_model._spread(z, 60).tolist())) == len(z)
+
+
+# ------------------------------------------------------------------------------------------------------------- planning
+
+
+@pytest.mark.slow
+def test_what_a_plan_is_expected_to_cost_is_what_it_costs_on_average_where_accelerations_err(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (run,) = moved(1, seed=1)
+    model = joint_fit.fit([Episode(run.y, run.u)], H, True, True, None)
+    assert model is not None
+    monkeypatch.setattr(HarmonicModel, "uncertainty", lambda self, x, u: np.full((len(x), 3), 0.02))
+    planner = ILQRMPC(RIG.replace(sensor_noise=0.0), model=model.model, starts=0)
+    law: Any = planner.start(1, np.random.default_rng(0))
+    law(0.0, np.array([[0.1, 0.1, -0.05, 0.0, 0.0, 0.0]]))
+    plan, rng, ends = law.plans, np.random.default_rng(2), []
+    for _ in range(1000):
+        x = plan.x[0, 0]
+        for k, u in enumerate(plan.u[0]):
+            force = u + plan.K[0, k] @ (x - plan.x[0, k])
+            x = np.array(model.model.step(tuple(x.tolist()), float(force), model.model.parameters))
+            errors = 4 * 0.02 * rng.standard_normal(3)
+            x += np.append(H**2 / 2 * errors, H * errors)
+        ends.append((x - plan.x[0, -1]) @ planner.P @ (x - plan.x[0, -1]))
+    assert_allclose(expected_cost(plan, model, planner.P) - plan.cost[0], np.mean(ends), rtol=0.15)
+
+
+class Planned:
+    """A law with a plan of one sample, of given cost, and a force."""
+
+    def __init__(self, height: float, cost: float, force: float) -> None:
+        x = np.array([[[height, 0.0, 0.0, 0.0, 0.0, 0.0]] * 2])
+        self.plans = Plans.blank(1, 1)._replace(x=x, cost=np.array([cost]))
+        self.log: dict[str, list[Array]] = {}
+        self.force, self.calls = force, 0
+
+    def __call__(self, t: float, y: Array) -> Array:
+        self.calls += 1
+        return np.array([self.force])
+
+
+@pytest.mark.slow
+def test_a_plan_is_not_taken_for_being_cheap_where_the_model_is_unsure(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = random_kernels(ALL, np.random.default_rng(0))
+    monkeypatch.setattr(KernelModel, "uncertainty", lambda self, x, u: np.repeat(np.abs(x[:, :1]), 3, axis=1))
+    sure, unsure, dear = Planned(0.0, 10.0, 1.0), Planned(50.0, 9.0, 2.0), Planned(0.0, 11.0, 3.0)
+    act, y = _Surest([unsure, dear, sure], model, np.eye(6), RIG), np.zeros((1, 6))
+    assert act(0.0, y)[0] == act(H, y)[0] == 1.0
+    assert [law.calls for law in (sure, unsure, dear)] == [2, 1, 1]
+    assert act.log is sure.log
+
+
+@pytest.mark.slow
+def test_no_plan_is_chosen_before_there_is_a_measurement() -> None:
+    model, (one, other) = random_kernels(ALL, np.random.default_rng(0)), (Planned(0.0, c, c) for c in (2.0, 1.0))
+    act, y = _Surest([one, other], model, np.eye(6), RIG), np.zeros((1, 6))
+    act(0.0, np.full((1, 6), math.nan))
+    assert act(H, y)[0] == act(2 * H, y)[0] == 1.0
+    assert (one.calls, other.calls) == (2, 3)
 
 
 # ------------------------------------------------------------------------------------------------------------- learners
@@ -360,6 +451,21 @@ def test_a_minute_of_experience_swings_up(tmp_path: Any) -> None:
 
 
 @pytest.mark.slow
+def test_more_experience_of_an_exact_plant_makes_a_policy_no_worse() -> None:
+    rig = dpend.rig("gustafsson2016").replace(sample_time=0.05, substeps=5)
+    training = ModelBased(rig, streak=4).train([304, 77])
+    assert training.converged
+    assert training.experience <= 45
+
+
+@pytest.mark.slow
+def test_plans_on_models_drawn_from_the_posterior_teach_too() -> None:
+    training = ModelBased(RIG, sampling=True, streak=1).train(1000)
+    assert training.converged
+    assert training.experience <= 30
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["pilco2011", "gustafsson2016"])
 def test_two_seconds_of_motion_and_the_equations_swing_up(preset: str) -> None:
     rig = dpend.rig(preset)
@@ -382,6 +488,8 @@ def test_two_seconds_of_motion_and_the_equations_swing_up(preset: str) -> None:
          "second_order and cart_invariance; got True."),
         (ModelBased, {"structure": False},
          "gravity is stated of the coefficients of the structure: expected it to be False without; got True."),
+        (ModelBased, {"structure": False, "gravity": False, "sampling": True},
+         "sampling draws the coefficients of the structure: expected it to be False without; got True."),
         (ModelBased, {"episodes": 0}, "episodes must be a whole number, at least 1; got 0."),
         (IdentifyAndPlan, {"unknown": 1.0}, "unknown must be at least 0 and below 1; got 1.0."),
         (IdentifyAndPlan, {"motion": 0.5}, "motion must be at least 1 s; got 0.5."),
