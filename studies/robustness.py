@@ -7,8 +7,8 @@ the axes.  (b) All parameters wrong by up to 20 % at once.  (c) Real sensors, th
 
 Finding: one wrong parameter and noise of the force hurt hardly any that balances.  With two samples of delay nearly all
 fail but LQR, LSPI and SDRE; with pushes of a fifth of RealAIGym's largest nearly all fail.  Scores at balancing:
-LSPI 86.7, LQR 84.8, SDRE 84.0, iLQR MPC 77.0, Q-learning tuned 72.9, PPO and DDPG trained to swing up 66.2 and 58.6 %;
-at swinging up: iLQR MPC 78.6, TVLQR 65.1 %; wrong by 20 % in everything 55 [50, 61] and 10 [7, 14] %.
+LSPI 86.7, LQR 84.8, SDRE 84.0, iLQR MPC 76.9, Q-learning tuned 73.0, PPO and DDPG trained to swing up 66.2 and 58.6 %;
+at swinging up: iLQR MPC 77.4, TVLQR 65.1 %; wrong by 20 % in everything 55 [50, 60] and 10 [7, 14] %.
 Behind EKF or UKF, LQR and TVLQR bear three samples of delay always; through differences LQR one, TVLQR none.
 """
 
