@@ -16,7 +16,8 @@ series,
 
 so that, cut off, the model is linear in 203 functions of the angles times 11 of the rest: a regression.  What can be
 known beforehand leaves out weights: mirror symmetry leaves sines to what is even in rates and force, cosines to what is
-odd; gravity, if it alone tells up from down, leaves to each product waves of even order, or of odd order alone.
+odd; gravity, if it alone tells up from down, leaves to each product waves of even order, or of odd order alone.  Plans
+are made on cubic splines that equal the :math:`c_k` on a grid.
 """
 
 from __future__ import annotations
@@ -238,7 +239,7 @@ class HarmonicModel:
 
     @cached_property
     def parameters(self) -> Flow:
-        """What :data:`step` takes."""
+        """What a sample takes beside state and force."""
         weights = np.zeros((len(by_product(self.mirror)), 3))
         for column, output in zip(weights.T, self.outputs, strict=True):
             column[output.columns] = output.mean
