@@ -220,10 +220,8 @@ def _train_one(learner: Learner, seed: int, out: Path, command: str, report: Cal
 
 def _row(learner: Learner, training: Training) -> dict[str, str]:
     """Return what a table says of a training, by its headings."""
-    curve, cost = (
-        training.curve,
-        {"CPU s": f"{(seconds := training.cost.cpu_seconds):{'.0f' if seconds >= 10 else '.2g'}}"},
-    )
+    curve, seconds = training.curve, training.cost.cpu_seconds
+    cost = {"CPU s": f"{seconds:.0f}" if seconds >= 10 else f"{seconds:.2g}"}
     if not isinstance(learner, DeepRecipe):
         return {"outcome": training.outcome.name.lower(), "experience, s": f"{training.experience:,.0f}"} | cost
     best = training.details["best"]
