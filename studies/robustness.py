@@ -278,7 +278,7 @@ def _plot_axes(table: Table, task: TaskName) -> Figure:
             drawn = {name: _shares(table, of_group, contender=name, task=task, part="axes") for name in side}
             curves(axis, drawn, looks, aside=0.0)
             share_axis(axis)
-            axis.set(xlabel=fill(words[group], 24 if len(sides) > 2 else 60), yticks=(0, 0.5, 1))
+            axis.set(xlabel=fill(words[group], 23 if len(sides) > 2 else 60), yticks=(0, 0.5, 1))
         if group == "model":
             row[0].xaxis.set_major_formatter(PercentFormatter(1.0))
         if group == "pulses":
