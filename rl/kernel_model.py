@@ -4,10 +4,10 @@ Each change is :math:`\sum_i \alpha_i k(z, z_i)` with a squared-exponential kern
 
 .. math:: k(z, z') = s^2 \exp\bigl(-\tfrac12 \textstyle\sum_j (z_j - z'_j)^2 / \ell_j^2\bigr),
 
-and :math:`z` the state and the force: angles as they are or by sine and cosine, with or without the cart's position.
-Either all six states change by processes of their own, or the three rates do and positions follow by the trapezoidal
-rule.  With the mirror known, each process is odd: its kernel is :math:`(k(z, z') - k(z, -z'))/2`, cosines keeping their
-sign.
+and :math:`z` the state and the force: angles as they are, or by sine and cosine of each and of the angle between them,
+with or without the cart's position.  Either all six states change by processes of their own; or the three rates do,
+:math:`z` has the positions that these rates lead to in half a sample, and positions follow by the trapezoidal rule.
+With the mirror known, each process is odd: its kernel is :math:`(k(z, z') - k(z, -z'))/2`, cosines keeping their sign.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, cholesky, get_lapack_funcs, solve_triangular
 from scipy.optimize import minimize
 
 from controllers.ilqr import Model
@@ -32,7 +32,10 @@ _FIRST_STEPS, _STEPS = 40, 15  # of the search for hyperparameters, from their p
 _ROUNDS = 2  # of the search: the first takes the noise of all changes for equal
 _NOISIEST = 200.0  # times the usual variance, at most
 _EXACT = 1e-6  # share of a kernel's variance by which no function of its centres is the process
+_BLOCK = 64  # centres side by side, so that LLVM turns loops over them into vector instructions
+_FAR = -50.0  # exponents below count as this
 _JITTER = 1e-3  # least noise, as a share of the changes
+(_invert,) = get_lapack_funcs(("potri",), dtype=np.float64)
 
 
 class Transitions(NamedTuple):
@@ -56,9 +59,9 @@ class Centers(NamedTuple):
     """The model as the compiled code takes it."""
 
     z: Array
-    """Centres (M, D), mirrored ones included."""
+    """Centres (D, M), mirrored ones included, and others to fill the last block."""
     alpha: Array
-    """Weights (M, E)."""
+    """Weights (E, M), zero for the others."""
     per: Array
     """Inverse squared length scales (E, D)."""
     angles: bool
@@ -66,46 +69,72 @@ class Centers(NamedTuple):
     h: float
 
 
-def _inputs(x: Array, u: Array, priors: Priors) -> Array:
+def _inputs(x: Array, u: Array, h: float, priors: Priors) -> Array:
     """Return z (N, D) for states (N, 6) and forces (N,)."""
-    th = x[:, 1:3]
-    shown = [np.sin(th), np.cos(th)] if priors.angles else [th]
-    return np.column_stack([x[:, :0] if priors.cart_invariance else x[:, :1], *shown, x[:, 3:], u])
+    q = x[:, :3] + h / 2 * x[:, 3:] if priors.second_order else x[:, :3]
+    th = np.column_stack([q[:, 1:], q[:, 1] - q[:, 2]])
+    shown = [np.sin(th), np.cos(th)] if priors.angles else [q[:, 1:]]
+    return np.column_stack([q[:, :0] if priors.cart_invariance else q[:, :1], *shown, x[:, 3:], u])
 
 
 def _signs(priors: Priors) -> Array:
     """Return the sign that each input has in the mirror."""
-    shown = [-1, -1, 1, 1] if priors.angles else [-1, -1]
+    shown = [-1, -1, -1, 1, 1, 1] if priors.angles else [-1, -1]
     return np.array([*([] if priors.cart_invariance else [-1]), *shown, -1, -1, -1, -1], dtype=np.float64)
 
 
 @inline
 def _seen(x, u, c):
-    z = np.empty(c.z.shape[1])
+    z = np.empty(len(c.z))
     j = 0 if c.cart_invariance else 1
-    z[0] = x[0]
+    on = 0.5 * c.h if len(c.alpha) == 3 else 0.0
+    z[0] = x[0] + on * x[3]
+    a, b = x[1] + on * x[4], x[2] + on * x[5]
     if c.angles:
-        z[j], z[j + 1], z[j + 2], z[j + 3] = sin(x[1]), sin(x[2]), cos(x[1]), cos(x[2])
+        z[j], z[j + 1], z[j + 2] = sin(a), sin(b), sin(a - b)
+        z[j + 3], z[j + 4], z[j + 5] = cos(a), cos(b), cos(a - b)
     else:
-        z[j], z[j + 1] = x[1], x[2]
+        z[j], z[j + 1] = a, b
     z[-4], z[-3], z[-2], z[-1] = x[3], x[4], x[5], u
     return z
 
 
 @inline
+def _exp(y):
+    """Return e^y within 1e-13 for y <= 0: a Taylor series of y/256, squared, which processors do on vectors."""
+    y = max(y, _FAR) / 256
+    p = 1 + y * (1 + y * (1 / 2 + y * (1 / 6 + y * (1 / 24 + y * (1 / 120 + y * (1 / 720 + y * (1 / 5040)))))))
+    for _ in range(8):
+        p *= p
+    return p
+
+
+@inline
 def _changes(z, c, change, slopes):
     """Add up the changes (E,), and their slopes by z (E, D) where there is room for them."""
-    M, D = c.z.shape
-    for i in range(M):
-        for e in range(len(change)):
-            far = 0.0
+    D, M = c.z.shape
+    E, wanted = len(change), D if len(slopes) else 0
+    apart, part = np.empty((D, _BLOCK)), np.empty(_BLOCK)
+    total, by = np.zeros((E, _BLOCK)), np.zeros((E, wanted, _BLOCK))
+    for first in range(0, M, _BLOCK):
+        for j in range(D):
+            for i in range(_BLOCK):
+                apart[j, i] = c.z[j, first + i] - z[j]
+        for e in range(E):
+            part[:] = 0.0
             for j in range(D):
-                far += c.per[e, j] * (c.z[i, j] - z[j]) ** 2
-            part = c.alpha[i, e] * math.exp(-0.5 * far)
-            change[e] += part
-            if len(slopes):
-                for j in range(D):
-                    slopes[e, j] += part * c.per[e, j] * (c.z[i, j] - z[j])
+                for i in range(_BLOCK):
+                    part[i] -= 0.5 * c.per[e, j] * apart[j, i] * apart[j, i]
+            for i in range(_BLOCK):
+                part[i] = c.alpha[e, first + i] * _exp(part[i])
+                total[e, i] += part[i]
+            for j in range(wanted):
+                for i in range(_BLOCK):
+                    by[e, j, i] += part[i] * apart[j, i]
+    for e in range(E):
+        change[e] += total[e].sum()
+        for j in range(wanted):
+            slopes[e, j] += c.per[e, j] * by[e, j].sum()
 
 
 @inline
@@ -119,26 +148,32 @@ def _after(x, change, h):
 
 @inline
 def _step(x, u, c):
-    change = np.zeros(c.alpha.shape[1])
+    change = np.zeros(len(c.alpha))
     _changes(_seen(x, u, c), c, change, np.empty((0, 0)))
     return _after(x, change, c.h)
 
 
 def _linearize(x, u, c, D):
-    E, n, j = c.alpha.shape[1], c.z.shape[1], 0 if c.cart_invariance else 1
+    E, n, j = len(c.alpha), len(c.z), 0 if c.cart_invariance else 1
+    on = 0.5 * c.h if E == 3 else 0.0
     D[:] = 0.0
     for k in range(len(u)):
         now = (x[k, 0], x[k, 1], x[k, 2], x[k, 3], x[k, 4], x[k, 5])
         change, slopes = np.zeros(E), np.zeros((E, n))
-        _changes(_seen(now, u[k], c), c, change, slopes)
+        z = _seen(now, u[k], c)
+        _changes(z, c, change, slopes)
         for e in range(E):
             row, by = 6 - E + e, slopes[e]
             D[k, row, 0] = j * by[0]
-            for i in range(2):
-                th = now[1 + i]
-                D[k, row, 1 + i] = by[j + i] * cos(th) - by[j + 2 + i] * sin(th) if c.angles else by[j + i]
-            for i in range(4):
-                D[k, row, 3 + i] = by[n - 4 + i]
+            if c.angles:
+                between = by[j + 2] * z[j + 5] - by[j + 5] * z[j + 2]
+                D[k, row, 1] = by[j] * z[j + 3] - by[j + 3] * z[j] + between
+                D[k, row, 2] = by[j + 1] * z[j + 4] - by[j + 4] * z[j + 1] - between
+            else:
+                D[k, row, 1], D[k, row, 2] = by[j], by[j + 1]
+            for i in range(3):
+                D[k, row, 3 + i] = by[n - 4 + i] + on * D[k, row, i]
+            D[k, row, 6] = by[n - 1]
             D[k, row, row] += 1.0
         if E == 3:
             for i in range(3):
@@ -183,6 +218,8 @@ class KernelModel:
         z, alpha = self.z, self.alpha * np.exp(2 * self.hyper[:, -2])
         if self.priors.mirror:
             z, alpha = np.vstack([z, z * _signs(self.priors)]), np.vstack([alpha, -alpha]) / 2
+        last = [(0, -len(z) % _BLOCK), (0, 0)]
+        z, alpha = (np.ascontiguousarray(np.pad(each, last).T) for each in (z, alpha))
         parameters = Centers(z, alpha, np.exp(-2 * self.hyper[:, :-2]), self.priors.angles, self.priors.cart_invariance,
                              self.sample_time)  # fmt: skip
         return Model(step=_step, linearize=_linearize, parameters=parameters, sources=(Path(__file__),))
@@ -202,7 +239,7 @@ class KernelModel:
 
         They count the transitions at the centres alone, and so are rather too great.
         """
-        new, signs = _inputs(x, u, self.priors), _signs(self.priors)
+        new, signs = _inputs(x, u, self.sample_time, self.priors), _signs(self.priors)
         std = np.empty((len(x), 3))
         for d, (hyper, factor) in enumerate(zip(self.hyper[-3:], self._factors, strict=True)):
             across, _ = _kernel(new, self.z, hyper, self.priors, signs)
@@ -228,7 +265,7 @@ class KernelModel:
         cls, data: Transitions, h: float, priors: Priors, rng: np.random.Generator, before: KernelModel | None
     ) -> KernelModel:
         """Return the posterior after transitions; hyperparameters are sought from those of the model before."""
-        z, y = _inputs(data.x, data.u, priors), (data.after - data.x)[:, 3 if priors.second_order else 0 :]
+        z, y = _inputs(data.x, data.u, h, priors), (data.after - data.x)[:, 3 if priors.second_order else 0 :]
         size = np.sqrt(np.mean(y**2, axis=0)) + 1e-9
         center = np.array([[*np.log(2 * z.std(axis=0) + 1e-3), math.log(2 * s), math.log(0.1 * s)] for s in size])
         hyper, steps = (center, _FIRST_STEPS) if before is None else (before.hyper, _STEPS)
@@ -300,7 +337,6 @@ def _most_likely(z: Array, y: Array, noisier: Array, priors: Priors, start: Arra
     """Return hyperparameters of great posterior density, after some steps of a search from others."""
     signs, n = _signs(priors), len(z)
     spread = np.array([1.0] * z.shape[1] + [1.0, 2.0])
-    gaps = [[(a[:, None] - a) ** 2, (a[:, None] - s * a) ** 2] for a, s in zip(z.T, signs, strict=True)]
 
     def loss(h: Array) -> tuple[float, Array]:
         K, parts = _kernel(z, z, h, priors, signs)
@@ -308,17 +344,18 @@ def _most_likely(z: Array, y: Array, noisier: Array, priors: Priors, start: Arra
         weights = (parts[0] / 2, -parts[1] / 2) if priors.mirror else (parts[0],)
         noisy = K.copy()
         noisy[np.diag_indices(n)] += noise + 1e-9 * np.exp(2 * h[-2])
-        factor = cho_factor(noisy, lower=True, overwrite_a=True, check_finite=False)
-        inverse = cho_solve(factor, np.eye(n), check_finite=False)
+        root = cholesky(noisy, lower=True, overwrite_a=True, check_finite=False)
+        inverse, _ = _invert(root, lower=1)
+        inverse += np.tril(inverse, -1).T
         alpha = inverse @ y
         W = inverse - np.outer(alpha, alpha)
-        slope = np.empty(len(h))
-        weighed = [W * part for part in weights]
-        for j, gap in enumerate(gaps):
-            slope[j] = 0.5 * np.exp(-2 * h[j]) * sum(np.vdot(each, g) for each, g in zip(weighed, gap, strict=False))
+        slope = np.zeros(len(h))
+        for weight, turn in zip(weights, (1.0, signs), strict=False):
+            P = W * weight  # of which (z_i - z_j)^2 is the sum in each slope, z_j turned in the mirror
+            slope[:-2] += np.exp(-2 * h[:-2]) * (P.sum(axis=0) @ z**2 - (z * (P @ z) * turn).sum(axis=0))
         slope[-2], slope[-1] = np.vdot(W, K), noise @ W.diagonal()
         away = (h - center) / spread
-        value = 0.5 * y @ alpha + np.log(factor[0].diagonal()).sum() + 0.5 * away @ away
+        value = 0.5 * y @ alpha + np.log(root.diagonal()).sum() + 0.5 * away @ away
         return float(value), slope + away / spread
 
     limits = np.stack([center - 3.5, center + 3.5], axis=1)

@@ -134,7 +134,7 @@ class ModelPolicy(Saved):
     def start(self, n: int, rng: np.random.Generator) -> Act:
         """Return the law for one run."""
         each = zip(self.planners, rng.spawn(len(_STARTS)), strict=True)
-        return _Surest([planner.start(n, own) for planner, own in each], self.model, self.planners[0].P, self._rig)
+        return _Cheapest([planner.start(n, own) for planner, own in each], self.model, self.planners[0].P, self._rig)
 
     def uncertainty(self, x: npt.ArrayLike, u: npt.ArrayLike) -> Array:
         """Return the standard deviations (N, 3) of the accelerations believed in states (N, 6) under forces (N,).
@@ -197,7 +197,7 @@ class ModelPolicy(Saved):
         return cls(model, about=about, **settings)
 
 
-class _Surest:
+class _Cheapest:
     """Of several laws the one whose first plan is expected to cost least, on the states that a filter estimates."""
 
     def __init__(self, laws: list[Any], model: HarmonicModel | KernelModel, P: Array, rig: Rig) -> None:

@@ -22,7 +22,7 @@ from rl import IdentifyAndPlan, ModelBased, ModelPolicy, Outcome, harmonic, join
 from rl.harmonic import HarmonicModel, Posterior
 from rl.joint_fit import Episode
 from rl.kernel_model import KernelModel, Priors
-from rl.model_based import RandomForces, _Surest, expected_cost, kalman, settled
+from rl.model_based import RandomForces, _Cheapest, expected_cost, kalman, settled
 
 RIG = dpend.rig("pilco2011")
 H = RIG.sample_time
@@ -58,7 +58,7 @@ def random_harmonic(
 
 
 def random_kernels(priors: Priors, rng: np.random.Generator) -> KernelModel:
-    z = kernel_model._inputs(random_states(rng, 15), rng.uniform(-5, 5, 15), priors)
+    z = kernel_model._inputs(random_states(rng, 15), rng.uniform(-5, 5, 15), H, priors)
     outputs = 3 if priors.second_order else 6
     hyper = np.tile([*np.full(z.shape[1], 1.0), -1.0, -4.0], (outputs, 1))
     alpha = rng.standard_normal((15, outputs))
@@ -203,7 +203,7 @@ def test_the_slopes_of_the_marginal_likelihood_of_kernels_are_those_of_finite_di
     rng = np.random.default_rng(0)
     x, u, y = random_states(rng, 25), rng.uniform(-3, 3, 25), rng.standard_normal(25)
     noisier = rng.uniform(1, 50, 25)
-    z = kernel_model._inputs(x, u, priors := Priors(True, True, False, mirror))
+    z = kernel_model._inputs(x, u, H, priors := Priors(True, True, False, mirror))
     center = np.append(np.full(z.shape[1], 0.7), [0.3, -1.0])
     captured(
         monkeypatch, kernel_model, lambda: kernel_model._most_likely(z, y, noisier, priors, center, center + 0.3, 40)
@@ -336,7 +336,7 @@ def test_noise_as_great_as_the_motion_is_found_and_not_fitted(noise: float) -> N
 def test_kernels_centred_on_every_transition_give_the_posterior_mean(mirror: bool) -> None:
     rng = np.random.default_rng(0)
     priors = Priors(True, True, True, mirror)
-    z = kernel_model._inputs(random_states(rng, 30), rng.uniform(-3, 3, 30), priors)
+    z = kernel_model._inputs(random_states(rng, 30), rng.uniform(-3, 3, 30), H, priors)
     y, signs = rng.standard_normal(30), kernel_model._signs(priors)
     hyper = np.append(np.full(z.shape[1], 1.0), [0.0, -2.0])
     K = kernel_model._kernel(z, z, hyper, priors, signs)[0]
@@ -356,6 +356,11 @@ def test_changes_are_as_noisy_as_noise_of_the_states_before_and_after_makes_them
     exact = kernel_model.Transitions(x[None], np.array([u]), x[None])
     found = (noise[:, 1] + after - x)[:, 3:].var(axis=0)
     assert_allclose(2 * size**2 * model._noisier(exact)[0], found, rtol=0.1)
+
+
+def test_the_exponential_of_vectors_is_that_of_the_library() -> None:
+    y = -np.logspace(-9, 1.6, 500)
+    assert_allclose([kernel_model._exp.py_func(each) for each in y], np.exp(y), rtol=1e-12, atol=1e-14)
 
 
 def test_centres_are_spread_over_all_inputs_and_none_is_taken_twice() -> None:
@@ -409,7 +414,7 @@ def test_a_plan_is_not_taken_for_being_cheap_where_the_model_is_unsure(monkeypat
     model = random_kernels(ALL, np.random.default_rng(0))
     monkeypatch.setattr(KernelModel, "uncertainty", lambda self, x, u: np.repeat(np.abs(x[:, :1]), 3, axis=1))
     sure, unsure, costly = Planned(0.0, 10.0, 1.0), Planned(50.0, 9.0, 2.0), Planned(0.0, 11.0, 3.0)
-    act, y = _Surest([unsure, costly, sure], model, np.eye(6), RIG), np.zeros((1, 6))
+    act, y = _Cheapest([unsure, costly, sure], model, np.eye(6), RIG), np.zeros((1, 6))
     assert act(0.0, y)[0] == act(H, y)[0] == 1.0
     assert [law.calls for law in (sure, unsure, costly)] == [2, 1, 1]
     assert act.log is sure.log
@@ -418,7 +423,7 @@ def test_a_plan_is_not_taken_for_being_cheap_where_the_model_is_unsure(monkeypat
 @pytest.mark.slow
 def test_no_plan_is_chosen_before_there_is_a_measurement() -> None:
     model, (one, other) = random_kernels(ALL, np.random.default_rng(0)), (Planned(0.0, c, c) for c in (2.0, 1.0))
-    act, y = _Surest([one, other], model, np.eye(6), RIG), np.zeros((1, 6))
+    act, y = _Cheapest([one, other], model, np.eye(6), RIG), np.zeros((1, 6))
     act(0.0, np.full((1, 6), math.nan))
     assert act(H, y)[0] == act(2 * H, y)[0] == 1.0
     assert (one.calls, other.calls) == (2, 3)
