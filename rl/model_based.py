@@ -35,7 +35,7 @@ from dpend.tasks import SwingUp
 from . import joint_fit
 from .harmonic import HarmonicModel
 from .kernel_model import KernelModel, Priors, Transitions
-from .policies import About, Saved, checked_about
+from .policies import About, Saved, checked_about, made_policy
 from .settings import Flag, Nonnegative, Positive, Whole, check_settings
 from .training import Outcome, Progress, Seed, Session, Training
 
@@ -98,6 +98,9 @@ class ModelPolicy(Saved):
         nothing = Params(cart_mass=1, mass1=1, mass2=1, length1=1, length2=1)  # which a plan on a model does not read
         self._rig = Rig(params=nothing, sample_time=sample_time, force_limit=force_limit, track_limit=track_limit)
         self.sample_time, self.force_limit, self.track_limit = sample_time, force_limit, track_limit
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return made_policy, (self.kind, self.about, self.arrays())  # without the compiled planners
 
     @cached_property
     def planners(self) -> list[ILQRMPC]:
