@@ -130,7 +130,7 @@ GROUPS = {
         "interval.",
     },
     "Prior knowledge": {
-        "model": "Whether it was given the equations and their parameters.",
+        "model": "What it was told of the plant.",
         "goal": "What it was to make large or small.",
         "starts to learn from": "Where it could begin while it learned.",
         "state": "What it sees of the state when it acts.",

@@ -6,7 +6,8 @@ checkers see does not, nor do docstrings, comments, annotations, layout, and mod
 
 The walk stops at a table of contenders, a tuple of ``Contender(name="LQR", ...)``.  Of its entries those count whose
 names are words of the job or literals in the definitions that were reached in the studies, and all if there is none.
-So it is with the policies that are shipped.  While a job is done, no other contender can be looked up.
+So do the policies that are shipped, of which a job that names contenders has those alone that they name.  While a job
+is done, no other contender can be looked up.
 """
 
 from __future__ import annotations
@@ -110,8 +111,8 @@ def _with_entries(walk: _Walk, words: frozenset[str] | None) -> tuple[dict[str, 
             loads |= further.loads
         added |= new
     policies = {file.stem: file for file in walk.root.glob(_POLICIES)} if loads else {}
-    named = policies if words is None else policies.keys() & said
-    parts |= {f"policy {name}": file_hash(policies[name]) for name in named or policies}
+    every = words is None or (whole and said.isdisjoint(policies))
+    parts |= {f"policy {name}": file_hash(file) for name, file in policies.items() if every or name in said}
     return parts, None if whole else said
 
 

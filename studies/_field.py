@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from itertools import cycle
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import dpend
 from controllers import (
@@ -25,7 +25,7 @@ from controllers import (
 from controllers.data import shipped
 from dpend import Balance, Controller, Rig, SwingUp
 from dpend.suggest import suggestion
-from rl import LSPI, GaussianQAC, Learner, LinearQLearning, load_policy
+from rl import LSPI, GaussianQAC, Learner, LinearQLearning, ModelBased, ModelPolicy, load_policy
 
 from . import _runner
 from ._closure import covered
@@ -54,7 +54,7 @@ class Cost(Enum):
 class PriorKnowledge(NamedTuple):
     """What a contender knew before it began, which comparisons of success leave out."""
 
-    model: str  # Whether it was given the equations and their parameters.
+    model: str  # What it was told of the plant.
     reward: str  # What it was to make large or small.
     starts: str  # Where it could begin while it learned.
     state: str = "all of it, exact"  # What it sees when it acts.
@@ -94,6 +94,12 @@ def _learned(name: str) -> Callable[[Rig, Balance | SwingUp], Controller]:
         return policy
 
     return make
+
+
+def _model_of_its_own(rig: Rig, task: Balance | SwingUp) -> Controller:
+    policy: Any = load_policy("model-based")
+    assert isinstance(policy, ModelPolicy)
+    return policy
 
 
 def _stiff(rig: Rig) -> LQR:
@@ -158,6 +164,9 @@ CONTENDERS: tuple[Contender, ...] = (
     Contender(name="LSPI", make=_learned("lspi"), learner=lambda rig: LSPI(rig), policy="lspi",
               prior_knowledge=PriorKnowledge("none", "quadratic cost", "λ = .02 about upright"),
               style=("#56B4E9", "p", "-")),
+    Contender(name="learned model, iLQR", make=_model_of_its_own, tasks=("swing-up",), cost=Cost.EXPENSIVE,
+              learner=lambda rig: ModelBased(rig), policy="model-based", style=("#0072B2", "*", "-"),
+              prior_knowledge=PriorKnowledge("structure and symmetries", "quadratic cost", "hanging ±0.1 rad")),
     Contender(name="PPO balance", make=_learned("ppo-balance"), policy="ppo-balance", trainings="ppo-balance",
               prior_knowledge=_NEAR, style=("#0072B2", "d", ":")),
     Contender(name="DDPG balance", make=_learned("ddpg-balance"), policy="ddpg-balance", trainings="ddpg-balance",

@@ -120,9 +120,8 @@ def jobs(options: Options) -> list[Job]:
             found += [job(work="robustness", task=task, runs=several)] if several else []
             found += [job(work="steps", task=task)]
         if contender.learner:
-            train = partial(
-                some, work="training", task=task_name(contender.learner(options.plant.rig)), lams=lams, runs=n
-            )
+            task = task_name(contender.learner(options.plant.rig))
+            train = partial(some, work="training", task=task, lams=lams, runs=contender.cost.runs(n))
             found += [train(first=k) for k in range(1 if options.quick else options.trainings)]
         elif not contender.policy:
             found += [job(work="ready", task=contender.tasks[0])]

@@ -34,7 +34,7 @@ from rl.training import task_name
 
 from . import _field, _runner
 from ._estimates import QUARTILES, number
-from ._field import Contender, find, styles, styles_of_recipes
+from ._field import Contender, Cost, find, styles, styles_of_recipes
 from ._figures import Style, band, facets, legend_above, note, share_axis
 from ._plant import Plant, rig_of
 from ._runner import AtLeastTwo, Positive, Report, Result, Table
@@ -130,9 +130,10 @@ def jobs(options: Options) -> list[Job]:
         return not options.only or name in options.only
 
     work = [
-        Job(learner=name, training=k, starts=starts, points=points, seconds=seconds, seed=options.seed,
-            elsewhere=plant)
-        for name in filter(asked, learners())
+        Job(learner=name, training=k, starts=contender.cost.runs(starts), points=points, seconds=seconds,
+            seed=options.seed, elsewhere=plant)
+        for name, contender in learners().items()
+        if asked(name) and not (options.quick and contender.cost is Cost.EXPENSIVE and name not in options.only)
         for k in range(trainings)
     ]  # fmt: skip
     there = kept(options.deep)

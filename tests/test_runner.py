@@ -483,6 +483,17 @@ def test_a_job_is_stale_where_its_contender_changed_and_not_where_another_did(na
     assert [each for each, digits in hashes(copied).items() if before[each] != digits] == list(stale)
 
 
+def test_of_the_shipped_policies_a_job_that_names_contenders_depends_on_those_that_they_name(copied, edit):
+    words = {"LQR": frozenset({"runs", "LQR"}), "PPO": frozenset({"runs", "PPO swing-up"}), "not said": None}
+
+    def hashes():
+        return {name: source_hash("studies.leaderboard", each, copied) for name, each in words.items()}
+
+    before = hashes()
+    edit("rl/trained/ppo-swing-up.npz", None, b"new")
+    assert [name for name, digits in hashes().items() if before[name] != digits] == ["PPO", "not said"]
+
+
 COMPARES = """
 from studies._field import CONTENDERS, Contender, find
 MINE = (Contender(name="mine", make=lambda rig, task: find("LQR")), *CONTENDERS)

@@ -73,7 +73,8 @@ def test_a_contender_that_does_not_swing_up_is_refused_with_those_that_do(tmp_pa
     said = " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert (
         "--only LQR: it does not swing up; these do: iLQR MPC; NMPC; TVLQR; passivity, LQR; pumping, LQR; "
-        "pumping, iLQR, LQR; PPO swing-up; PPO swing-up, smooth; DDPG swing-up; energy NMPC." in said
+        "pumping, iLQR, LQR; learned model, iLQR; PPO swing-up; PPO swing-up, smooth; DDPG swing-up; energy NMPC."
+        in said
     )
     assert not list(tmp_path.iterdir())
 
