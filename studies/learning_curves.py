@@ -307,15 +307,24 @@ def _swinging(table: Table, looks: Mapping[str, Style]) -> Figure:
     fifth.set(xscale="log", ylabel="average reward (upright: 0)", ylim=(low, high + 0.15 * (high - low)))
     note(fifth, "report: not “a single episode where the control task was even close to being completed”")
     legend_above(fifth, 2, "As the report's figure 5: linear Q-learning of the swing-up")
+    for name, style in looks.items():
+        if not _counts_reward(table, name):
+            steps = [x / table.rig.sample_time for x in table.arrays("experience", learner=name)]
+            grid = np.unique(np.concatenate(steps))
+            band(deep, grid, quartiles_between(steps, table.arrays("share 0", learner=name), grid), style, name)
     _deep(deep, table, "swing-up", "starts that end upright")
     return figure
+
+
+def _counts_reward(table: Table, name: str) -> bool:
+    return bool(np.isfinite(np.concatenate(table.arrays("tail", learner=name))).all())
 
 
 def _episodes(axis: Axes, table: Table, looks: Mapping[str, Style]) -> None:
     """Draw curves against episodes, as far as the longest training went, with how trainings ended in the legend."""
     for name, style in looks.items():
-        tails = [tail.item() for tail in table.arrays("tail", learner=name)]
-        if np.isfinite(tails).all():
+        if _counts_reward(table, name):
+            tails = [tail.item() for tail in table.arrays("tail", learner=name)]
             middle = quartiles(table.arrays("curve", learner=name), tails)
             counts = table.where(learner=name).drop_duplicates("training")["outcome"].value_counts()
             ended = ", ".join(f"{counts[outcome]} {words}" for outcome, words in _OUTCOMES.items() if outcome in counts)
@@ -339,7 +348,7 @@ def _deep(axis: Axes, table: Table, task: str, words: str) -> None:
         axis.xaxis.set_major_formatter(EngFormatter(sep=" "))
     if lacking := [name for name in DEEP[task] if name not in set(table.rows["learner"])]:
         note(axis, f"not there: trainings of {', '.join(lacking)}")
-    legend_above(axis, 2, f"Deep learners, {task}: evaluations while they train")
+    legend_above(axis, 2, f"Evaluations while they train, {task}")
 
 
 def _endings_table(table: Table, learners: Sequence[str]) -> Sheet:
