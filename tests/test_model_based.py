@@ -294,6 +294,7 @@ def test_of_a_plant_drawn_from_the_prior_the_posterior_is_as_sure_as_it_may_be()
     assert np.mean(np.abs(off) < 2) > 0.85
 
 
+@pytest.mark.slow
 def test_where_the_model_before_leads_nowhere_a_model_is_sought_from_nothing() -> None:
     (run,) = moved(1, seed=3)
     episodes = [Episode(run.y, run.u)]
