@@ -469,7 +469,7 @@ Policy = LinearQPolicy | GainPolicy | TableOneMean | MLPPolicy | Network
 def load_policy(policy: str | Path) -> Policy:
     """Read a saved policy; nothing in the file can run code.
 
-    Running it needs numpy alone.
+    Running it needs numpy alone, or numba where it plans.
 
     Parameters
     ----------
@@ -478,7 +478,7 @@ def load_policy(policy: str | Path) -> Policy:
 
     Returns
     -------
-    LinearQPolicy, GainPolicy, MLPPolicy or Network
+    LinearQPolicy, GainPolicy, MLPPolicy, Network or ModelPolicy
         As it was saved.
 
     Raises
