@@ -63,9 +63,7 @@ Values = Mapping[str, npt.ArrayLike]  # numbers by quantity, one a run or traini
 class Options(_field.Options):
     """Options of the command line."""
 
-    starts: AtLeastTwo = (
-        1000  # Starts at each λ and of each kind of swing-up; NMPC and the learned model have the first twentieth.
-    )
+    starts: AtLeastTwo = 1000  # Starts at each λ and of each kind of swing-up; what takes long has the first twentieth.
     trainings: Positive = 10  # Trainings of each learner that learns in seconds.
 
     def taking_part(self) -> list[Contender]:
