@@ -189,6 +189,14 @@ def test_any_learner_that_joins_the_field_takes_part(task, monkeypatch):
         label for figure in figures.values() for axis in figure.axes for label in axis.get_legend_handles_labels()[1]
     ]
     assert ("guess (1 not converged)" in labels) == balancing  # a swing-up's curve is that of a reward, which it lacks
+    assert "guess" in labels  # its success against experience
+
+
+def test_what_takes_long_is_evaluated_on_few_starts_and_takes_no_part_where_it_must_be_quick():
+    name = "learned model, iLQR"
+    assert {job.starts for job in learning_curves.jobs(Options(only=(name,)))} == {20}
+    assert name not in {job.learner for job in learning_curves.jobs(Options(quick=True))}
+    assert {job.learner for job in learning_curves.jobs(Options(quick=True, only=(name,)))} == {name}
 
 
 @pytest.mark.parametrize(("name", "value"), [("trainings", 0), ("starts", 1)])
