@@ -130,7 +130,7 @@ GROUPS = {
         "interval.",
     },
     "Prior knowledge": {
-        "model": "What it was told of the plant.",
+        "model": "What it knew of the plant beforehand.",
         "goal": "What it was to make large or small.",
         "starts to learn from": "Where it could begin while it learned.",
         "state": "What it sees of the state when it acts.",

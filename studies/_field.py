@@ -54,7 +54,7 @@ class Cost(Enum):
 class PriorKnowledge(NamedTuple):
     """What a contender knew before it began, which comparisons of success leave out."""
 
-    model: str  # What it was told of the plant.
+    model: str  # What it knew of the plant.
     reward: str  # What it was to make large or small.
     starts: str  # Where it could begin while it learned.
     state: str = "all of it, exact"  # What it sees when it acts.

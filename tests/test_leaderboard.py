@@ -116,8 +116,8 @@ def test_the_prior_knowledge_of_every_contender_is_in_the_table():
     assert words.keys() == {*(contender.name for contender in CONTENDERS), "Mine"}
     assert words["LQR"] == ["equations and parameters", "quadratic cost", "–", "all of it, exact"]
     assert words["Mine"] == list(YOURS)
-    told = {words[contender.name][0] for contender in CONTENDERS if contender.policy}
-    assert told == {"none", "structure and symmetries"}
+    of_learners = {words[contender.name][0] for contender in CONTENDERS if contender.policy}
+    assert of_learners == {"none", "structure and symmetries"}
 
 
 def test_the_share_of_failed_trainings_counts_trainings():
