@@ -34,6 +34,7 @@ _NOISIEST = 200.0  # times the usual variance, at most
 _EXACT = 1e-6  # share of a kernel's variance by which no function of its centres is the process
 _BLOCK = 64  # centres side by side, so that LLVM turns loops over them into vector instructions
 _FAR = -50.0  # exponents below count as this
+_MEDIAN = 0.6745  # of the size of a normal number of variance 1
 _JITTER = 1e-3  # least noise, as a share of the changes
 (_invert,) = get_lapack_funcs(("potri",), dtype=np.float64)
 
@@ -65,6 +66,7 @@ class Centers(NamedTuple):
     per: Array
     """Inverse squared length scales (E, D)."""
     angles: bool
+    second_order: bool
     cart_invariance: bool
     h: float
 
@@ -87,7 +89,7 @@ def _signs(priors: Priors) -> Array:
 def _seen(x, u, c):
     z = np.empty(len(c.z))
     j = 0 if c.cart_invariance else 1
-    on = 0.5 * c.h if len(c.alpha) == 3 else 0.0
+    on = 0.5 * c.h if c.second_order else 0.0
     z[0] = x[0] + on * x[3]
     a, b = x[1] + on * x[4], x[2] + on * x[5]
     if c.angles:
@@ -138,11 +140,11 @@ def _changes(z, c, change, slopes):
 
 
 @inline
-def _after(x, change, h):
-    if len(change) == 6:
+def _after(x, change, c):
+    if not c.second_order:
         return (x[0] + change[0], x[1] + change[1], x[2] + change[2],
                 x[3] + change[3], x[4] + change[4], x[5] + change[5])  # fmt: skip
-    v, w1, w2 = x[3] + change[0], x[4] + change[1], x[5] + change[2]
+    h, v, w1, w2 = c.h, x[3] + change[0], x[4] + change[1], x[5] + change[2]
     return x[0] + 0.5 * h * (x[3] + v), x[1] + 0.5 * h * (x[4] + w1), x[2] + 0.5 * h * (x[5] + w2), v, w1, w2
 
 
@@ -150,12 +152,12 @@ def _after(x, change, h):
 def _step(x, u, c):
     change = np.zeros(len(c.alpha))
     _changes(_seen(x, u, c), c, change, np.empty((0, 0)))
-    return _after(x, change, c.h)
+    return _after(x, change, c)
 
 
 def _linearize(x, u, c, D):
     E, n, j = len(c.alpha), len(c.z), 0 if c.cart_invariance else 1
-    on = 0.5 * c.h if E == 3 else 0.0
+    on = 0.5 * c.h if c.second_order else 0.0
     D[:] = 0.0
     for k in range(len(u)):
         now = (x[k, 0], x[k, 1], x[k, 2], x[k, 3], x[k, 4], x[k, 5])
@@ -175,13 +177,13 @@ def _linearize(x, u, c, D):
                 D[k, row, 3 + i] = by[n - 4 + i] + on * D[k, row, i]
             D[k, row, 6] = by[n - 1]
             D[k, row, row] += 1.0
-        if E == 3:
+        if c.second_order:
             for i in range(3):
                 for col in range(7):
                     D[k, i, col] = 0.5 * c.h * D[k, 3 + i, col]
                 D[k, i, i] += 1.0
                 D[k, i, 3 + i] += 0.5 * c.h
-        after = _after(now, change, c.h)
+        after = _after(now, change, c)
         for i in range(6):
             D[k, i, 7] = after[i] - x[k + 1, i]
 
@@ -198,6 +200,8 @@ class KernelModel:
         Weights of the kernels about them, which all transitions determine.
     hyper : ndarray (E, D + 2)
         Logarithms of the length scales, the amplitude and the noise.
+    sensor_noise : ndarray (6,)
+        Standard deviations of the measured states, m, rad, m/s and rad/s, as the transitions have them.
     sample_time : float
         s.
     priors : Priors
@@ -207,6 +211,7 @@ class KernelModel:
     z: Array
     alpha: Array
     hyper: Array
+    sensor_noise: Array
     sample_time: float
     priors: Priors
 
@@ -220,14 +225,14 @@ class KernelModel:
             z, alpha = np.vstack([z, z * _signs(self.priors)]), np.vstack([alpha, -alpha]) / 2
         last = [(0, -len(z) % _BLOCK), (0, 0)]
         z, alpha = (np.ascontiguousarray(np.pad(each, last).T) for each in (z, alpha))
-        parameters = Centers(z, alpha, np.exp(-2 * self.hyper[:, :-2]), self.priors.angles, self.priors.cart_invariance,
-                             self.sample_time)  # fmt: skip
+        parameters = Centers(z, alpha, np.exp(-2 * self.hyper[:, :-2]), self.priors.angles, self.priors.second_order,
+                             self.priors.cart_invariance, self.sample_time)  # fmt: skip
         return Model(step=_step, linearize=_linearize, parameters=parameters, sources=(Path(__file__),))
 
     @property
     def noise(self) -> Array:
         """Standard deviations (3,) of the measured rates that the model infers, m/s and rad/s."""
-        return np.exp(self.hyper[-3:, -1]) / math.sqrt(2)  # a change has the noise of two measurements
+        return self.sensor_noise[3:]
 
     @cached_property
     def _factors(self) -> list[Array]:
@@ -247,7 +252,7 @@ class KernelModel:
             if self.priors.mirror:
                 twice = np.exp(-0.5 * (((new - new * signs) / np.exp(hyper[:-2])) ** 2).sum(axis=1))
                 own = own * (1 - twice) / 2
-            known = solve_triangular(factor, across.T, lower=True)
+            known = solve_triangular(factor, across.T, lower=True, check_finite=False)
             std[:, d] = np.sqrt(np.maximum(own - (known**2).sum(axis=0), 0)) / self.sample_time
         return std
 
@@ -279,7 +284,11 @@ class KernelModel:
             ])  # fmt: skip
             centers = z[_spread(z / np.exp(hyper[:, :-2].mean(axis=0)), _CENTERS)]
             alpha = [_weights(centers, z, y[:, e], noisier[:, e], hyper[e], priors) for e in range(len(size))]
-            model = cls(z=centers, alpha=np.stack(alpha, axis=1), hyper=hyper, sample_time=h, priors=priors)
+            noise = np.exp(hyper[:, -1]) / math.sqrt(2)  # a change has the noise of two measurements
+            if priors.second_order:
+                noise = np.append(_position_noise(data, h, noise), noise)
+            model = cls(z=centers, alpha=np.stack(alpha, axis=1), hyper=hyper, sensor_noise=noise, sample_time=h,
+                        priors=priors)  # fmt: skip
         assert model is not None
         return model
 
@@ -291,6 +300,17 @@ class KernelModel:
         D = np.empty((len(data.u), 6, 8))
         self.model.loops.linearize(np.append(data.x, data.after[-1:], axis=0), data.u, self.model.parameters, D)
         return np.minimum((1 + (D[:, 6 - self.alpha.shape[1] :, :6] ** 2).sum(axis=2)) / 2, _NOISIEST)
+
+
+def _position_noise(data: Transitions, h: float, noise: Array) -> Array:
+    """Return the standard deviations (3,) of measured positions, given those of rates, by the trapezoidal rule.
+
+    What positions miss of it has the noise of two positions and of the mean of two rates; its median is not that of the
+    few samples in which the rule itself is far off.
+    """
+    missed = (data.after - data.x)[:, :3] - h / 2 * (data.after + data.x)[:, 3:]
+    usual = np.median(np.abs(missed), axis=0) / _MEDIAN
+    return np.sqrt(np.maximum(usual**2 - (h * noise) ** 2 / 2, (_JITTER * usual) ** 2) / 2) + 1e-9
 
 
 def _spread(z: Array, most: int) -> npt.NDArray[np.intp]:

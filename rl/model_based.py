@@ -43,6 +43,7 @@ _STREAM = 2011  # sets learning apart from starts drawn with the same seed
 _STARTS = 0, 2, 2  # random starts of each first plan from which one is chosen; with none, it is always the same
 _DOUBT = 2.0  # times the standard deviation that a model states, which proves too small by about so much
 _LASTING = 4.0  # the same along a plan, where a model errs in the same way from one sample to the next
+_CLEAR = 0.9  # of the track is planned with: the rest is for what the model does not know
 _REACH, _TIP = 0.5, 0.1  # m: of the cart from the middle, and of the tip from upright, where a swing-up has settled
 
 
@@ -96,7 +97,9 @@ class ModelPolicy(Saved):
             raise TypeError(f"model must be a HarmonicModel or a KernelModel of rl; got {model!r}.")
         self.model, self.about = model, checked_about(about)
         nothing = Params(cart_mass=1, mass1=1, mass2=1, length1=1, length2=1)  # which a plan on a model does not read
-        self._rig = Rig(params=nothing, sample_time=sample_time, force_limit=force_limit, track_limit=track_limit)
+        self._rig = Rig(
+            params=nothing, sample_time=sample_time, force_limit=force_limit, track_limit=_CLEAR * track_limit
+        )
         self.sample_time, self.force_limit, self.track_limit = sample_time, force_limit, track_limit
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -201,11 +204,15 @@ class ModelPolicy(Saved):
 
 
 class _Cheapest:
-    """Of several laws the one whose first plan is expected to cost least, on the states that a filter estimates."""
+    """Of several laws the one whose first plan is expected to cost least, on the states that a filter estimates.
+
+    There is no filter where velocities are not known to be the rates of positions, for then these err, too.
+    """
 
     def __init__(self, laws: list[Any], model: HarmonicModel | KernelModel, P: Array, rig: Rig) -> None:
         self._laws, self._model, self._P, self._limit, self._force = laws, model, P, float(rig.force_limit), 0.0
-        self._follow = kalman(model) if isinstance(model, HarmonicModel) else lambda y, _: y
+        rates_lead = isinstance(model, HarmonicModel) or model.priors.second_order
+        self._follow = kalman(model) if rates_lead else lambda y, _: y
 
     @property
     def log(self) -> Mapping[str, list[Array]]:
@@ -246,10 +253,10 @@ def _pushes(h: float) -> Array:
     return np.concatenate([h**2 / 2 * np.eye(3), h * np.eye(3)])
 
 
-def kalman(model: HarmonicModel) -> Callable[[Array, float], Array]:
+def kalman(model: HarmonicModel | KernelModel) -> Callable[[Array, float], Array]:
     """Return the extended Kalman filter of a model: from a measured state (6,) and the force before it to an estimate.
 
-    The motion strays from the model by what this is unsure of.
+    The motion strays from the model by what accelerations it is unsure of.
     """
     plan, h, noise = model.model, model.sample_time, np.diag(model.sensor_noise**2)
     pushes, D = _pushes(h), np.empty((1, 6, 8))

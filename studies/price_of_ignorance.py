@@ -61,6 +61,7 @@ PRIORS: Mapping[str, tuple[Callable[..., Learner], float]] = {
 }
 """What builds each learner, by its prior knowledge of the plant, and the greatest experience, s."""
 _PILCO = (100.0, 150.0)  # s: 20 to 30 trials of 5 s
+_WIDTH = 0.5  # m: of its cost
 _ENOUGH = 0.9
 _STREAK = 4
 _WHITE = {"facecolor": "w", "edgecolor": "none", "pad": 1.0}
@@ -111,6 +112,7 @@ class Row:
     tried: int = 0  # fresh starts of the last policy evaluated, which end where 90 % are certain or impossible
     succeeded: int = 0
     track_ends: int = 0  # of the last policy's runs on fresh starts, those that ended at the track
+    pilco_cost: float = math.nan  # their mean cost by PILCO's measure, a sample, from 0 to 1
     step_p99: float = math.nan  # of its steps, without the first of a run, s
     first_step: float = math.nan  # median of those, which plan from nothing, s
 
@@ -173,9 +175,22 @@ def _evaluated(rig: dpend.Rig, policy: dpend.Controller, learner: Learner, job: 
         "tried": len(runs),
         "succeeded": successes,
         "track_ends": sum(run.status is dpend.Status.TRACK_END for run in runs),
+        "pilco_cost": float(np.mean([pilco_cost(run, learner.task.steps) for run in runs])),
         "step_p99": float(np.quantile(np.concatenate([run.step_time[1:] for run in runs]), 0.99)),
         "first_step": float(np.median([run.step_time[0] for run in runs])),
     }
+
+
+def pilco_cost(run: dpend.Run, steps: int) -> float:
+    """Return the mean of 1 - exp(-d^2 / 2 w^2) over the states after each of so many samples, w = .5 m.
+
+    The true state's tip is d from its place upright above the middle of the track; samples after an early end count 1.
+    The measure is that of Deisenroth and Rasmussen, 2011, with the links' true lengths.
+    """
+    params, place = run.rig.params, dpend.positions(run.x[1:], run.rig.params)
+    below = float(params.length1 + params.length2) - place.y_tip
+    near = np.exp(-(place.x_tip**2 + below**2) / (2 * _WIDTH**2))
+    return float(1 - np.nansum(near) / steps)
 
 
 _MILESTONES = {
@@ -205,6 +220,8 @@ def report(table: Table) -> Report:
                 line |= {f"{kind}, s": middle, f"{kind}: trainings": int(np.sum(own[kind].notna())),
                          f"{kind}, CPU s": median(own[f"{kind}_cpu"].dropna())}  # fmt: skip
             line["failed after the first"] = int(np.sum(own["failed"]))
+            line |= {"fresh starts": int(np.sum(own["tried"])), "ended at the track": int(np.sum(own["track_ends"])),
+                     "PILCO's cost": median(own["pilco_cost"].dropna())}  # fmt: skip
             line |= {"p99 of a step, ms": median(1e3 * own["step_p99"].dropna()),
                      "first step, ms": median(1e3 * own["first_step"].dropna())}  # fmt: skip
             lines.append(line)

@@ -23,6 +23,7 @@ from rl.harmonic import HarmonicModel, Posterior
 from rl.joint_fit import Episode
 from rl.kernel_model import KernelModel, Priors
 from rl.model_based import RandomForces, _Cheapest, expected_cost, kalman, settled, transitions
+from studies.price_of_ignorance import pilco_cost
 
 RIG = dpend.rig("pilco2011")
 H = RIG.sample_time
@@ -62,7 +63,7 @@ def random_kernels(priors: Priors, rng: np.random.Generator) -> KernelModel:
     outputs = 3 if priors.second_order else 6
     hyper = np.tile([*np.full(z.shape[1], 1.0), -1.0, -4.0], (outputs, 1))
     alpha = rng.standard_normal((15, outputs))
-    return KernelModel(z=z, alpha=alpha, hyper=hyper, sample_time=H, priors=priors)
+    return KernelModel(z=z, alpha=alpha, hyper=hyper, sensor_noise=np.full(6, 0.01), sample_time=H, priors=priors)
 
 
 MODELS = {
@@ -371,6 +372,23 @@ def test_kernels_of_angles_half_a_sample_on_predict_new_changes_of_rates() -> No
     ).all()  # .09 to .14 at its beginning, without the angle between
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("second_order", [True, False])
+def test_kernels_infer_the_noise_of_all_sensors(second_order: bool) -> None:
+    data = transitions(moved(8, 0, RIG.replace(sensor_noise=0.02)))
+    model = KernelModel.fit(data, H, Priors(True, second_order, True, True), np.random.default_rng(0), None)
+    assert_allclose(model.sensor_noise, 0.02, rtol=0.3)
+
+
+@pytest.mark.slow
+def test_the_filter_on_kernels_is_nearer_to_the_state_than_what_is_measured() -> None:
+    *runs, new = moved(9, 0, RIG.replace(sensor_noise=0.02))
+    model = KernelModel.fit(transitions(runs), H, ALL, np.random.default_rng(0), None)
+    follow, given = kalman(model), np.append(0.0, new.u)
+    estimates = np.array([follow(y, force) for y, force in zip(new.y, given, strict=True)])
+    assert np.mean((estimates - new.x)[20:] ** 2) < 0.8 * np.mean((new.y - new.x)[20:] ** 2)
+
+
 def test_the_exponential_of_vectors_is_that_of_the_library() -> None:
     y = -np.logspace(-9, 1.6, 500)
     assert_allclose([kernel_model._exp(each) for each in y], np.exp(y), rtol=1e-12, atol=1e-14)
@@ -434,6 +452,14 @@ def test_a_plan_is_not_taken_for_being_cheap_where_the_model_is_unsure(monkeypat
 
 
 @pytest.mark.slow
+def test_a_plan_on_a_model_leaves_a_tenth_of_the_track_for_what_the_model_does_not_know() -> None:
+    policy = ModelPolicy(random_kernels(ALL, np.random.default_rng(0)), sample_time=H, force_limit=20, track_limit=2.0)
+    walls = [planner._planner.setting.problem.hard_track for planner in policy.planners]
+    assert_allclose(walls, 1.8, rtol=1e-3)
+    assert policy.track_limit == 2.0
+
+
+@pytest.mark.slow
 def test_no_plan_is_chosen_before_there_is_a_measurement() -> None:
     model, (one, other) = random_kernels(ALL, np.random.default_rng(0)), (Planned(0.0, c, c) for c in (2.0, 1.0))
     act, y = _Cheapest([one, other], model, np.eye(6), RIG), np.zeros((1, 6))
@@ -455,6 +481,19 @@ def test_settled_asks_for_the_cart_and_the_tip_over_the_last_second() -> None:
         object.__setattr__(run, "x", x)
         assert settled(run) == inside
         x[-15, column] = 0.0
+
+
+def test_the_cost_by_pilcos_measure_is_of_the_tips_distance_and_one_after_an_early_end() -> None:
+    law = dpend.controller.FunctionController(lambda _, x: 0.0)
+    rig, task = RIG.replace(sensor_noise=0.0), dpend.SwingUp(steps=40)
+    upright, beside, hanging = (
+        dpend.simulate(rig, law, x0, task=task)
+        for x0 in ([0.0] * 6, [0.5, 0, 0, 0, 0, 0], [0, math.pi, math.pi, 0, 0, 0])
+    )
+    assert_allclose(pilco_cost(upright, 40), 0, rtol=0, atol=1e-12)
+    assert_allclose(pilco_cost(upright, 80), 0.5)
+    assert_allclose(pilco_cost(beside, 40), 1 - math.exp(-0.5))
+    assert_allclose(pilco_cost(hanging, 40), 1, atol=1e-4)
 
 
 def test_random_forces_keep_to_the_limit_and_the_cart_near_the_middle() -> None:
