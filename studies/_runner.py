@@ -89,6 +89,7 @@ class Options:
     scheduler: str | None = None  # Address of a Dask scheduler: its workers do it.
     quick: bool = False  # Few runs, to see in seconds that all works.
     format: Literal["png", "pdf", "svg"] = "png"  # File format of the figures.
+    kept: bool = False  # Take jobs from docs/results that code, options and libraries like these have done.
     fresh: bool = False  # Take no results of others from docs/results beside your own.
 
     def __post_init__(self) -> None:
@@ -97,6 +98,8 @@ class Options:
                 if isinstance(bound, Least) and getattr(self, name) < bound.value:
                     option = f"--{name.replace('_', '-')}"
                     raise ValueError(f"{option} must be at least {bound.value}; got {getattr(self, name)}.")
+        if self.kept and self.fresh:
+            raise ValueError("--kept takes results from docs/results and --fresh takes none: give one of them.")
         rig = self.plant.rig
         if rig.n is not None:
             raise ValueError(
@@ -279,10 +282,12 @@ def run_study(name: str, options: Options, executor: Executor | None = None) -> 
         raise ValueError(f"{name}: two of its jobs are the same.")
     files = {job: out / "jobs" / f"{digits}.npz" for job, digits in keys.items()}
     done = {job: work for job, file in files.items() if (work := _finished(file))}
-    kept = _kept(short) if options.joining and not options.fresh and not options.elsewhere else {}
+    reusing = options.kept or (options.joining and not options.fresh)
+    kept = _kept(short) if reusing and not options.elsewhere else {}
     shipped = {job: kept[digits] for job, digits in keys.items() if job not in done and digits in kept}
     if shipped:
-        print(f"{len(shipped)} of {len(keys)} jobs come from {kept_folder(short)}; --fresh computes them here.")
+        otherwise = "without --kept all are computed here" if options.kept else "--fresh computes them here"
+        print(f"{len(shipped)} of {len(keys)} jobs come from {kept_folder(short)}; {otherwise}.")
     elif kept and kept.keys().isdisjoint(keys.values()):
         print(f"None of {len(keys)} jobs comes from {kept_folder(short)}, {_differs(name)}; all are computed here.")
     done |= shipped

@@ -237,6 +237,9 @@ def test_jobs_of_the_kept_table_are_not_done_again(kept, tmp_path, capsys, monke
     assert done == [3, 0, 1, 2, 3]
     run_example(tmp_path / "alone", "--jobs", "1")
     assert done == [3, 0, 1, 2, 3, 0], "without anything that joins, the study is done, not copied"
+    run_example(tmp_path / "again", "--jobs", "4", "--kept")
+    assert done == [3, 0, 1, 2, 3, 0, 3], "unless that is asked for"
+    assert f"3 of 4 jobs come from {kept}; without --kept all are" in " ".join(capsys.readouterr().out.split())
     assert table.rows.equals(fresh.rows)
     assert table.arrays("value") == fresh.arrays("value")
 
@@ -256,6 +259,11 @@ def test_a_kept_table_from_other_code_or_versions_serves_nothing(
     assert json.loads((tmp_path / "out" / "meta.json").read_text())["jobs_done_earlier"] == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"None of 3 jobs comes from {kept}, which {why}; all are computed here." in said
+
+
+def test_results_are_either_taken_or_not(kept, tmp_path):
+    with pytest.raises(SystemExit, match="2"):
+        run_example(tmp_path / "out", "--kept", "--fresh")
 
 
 def test_a_kept_table_with_other_options_serves_nothing_and_says_so(kept, tmp_path, capsys):
