@@ -616,16 +616,19 @@ def run_python(program, *, without=()):
     )
 
 
+@pytest.mark.slow
 def test_importing_the_learners_loads_no_torch():
     done = run_python(f"import rl; print([name for name in {NEEDED['jax']} if name in sys.modules])")
     assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
+@pytest.mark.slow
 def test_without_torch_training_says_what_to_install():
     done = run_python("import rl; rl.train_deep(rl.DeepRecipe())", without=("torch", "stable_baselines3"))
     assert done.stderr.rstrip().splitlines()[-1] == f"ImportError: {INSTALL['torch']}"
 
 
+@pytest.mark.slow
 def test_without_jax_training_in_it_says_what_to_install():
     program = (
         "import rl; rl.train_deep(rl.DeepRecipe(algo='ddpg', off_policy=rl.recipes.OffPolicySettings(library='jax')))"
@@ -634,6 +637,7 @@ def test_without_jax_training_in_it_says_what_to_install():
     assert done.stderr.rstrip().splitlines()[-1] == f"ImportError: {INSTALL['jax']}"
 
 
+@pytest.mark.slow
 def test_without_torch_the_command_line_says_what_to_install():
     program = "from rl import train; train.find_spec = lambda name: None; train.main(['--algo', 'ddpg'])"
     done = run_python(program)

@@ -349,6 +349,7 @@ def test_numpy_and_numba_give_the_same_rates_of_complex_numbers(params: Params, 
     close(kernels.rates(tuple(z), tuple(force), params.coefficients()), dpend.rates(z, force, params))
 
 
+@pytest.mark.slow
 def test_numba_differentiates_by_the_complex_step_as_numpy_does() -> None:
     rng = np.random.default_rng(8)
     for x, f in zip(random_states(rng, 20), random_forces(rng, 20), strict=True):

@@ -107,6 +107,7 @@ def test_a_policy_on_the_way_is_the_one_of_a_training_that_ends_there():
     assert_array_equal(long.details["weights"][4], short.details["v"])
 
 
+@pytest.mark.slow
 def test_acceptance_tests_are_counted_after_the_episode_that_they_followed():
     learner = LinearQLearning(
         RIG, task=dpend.Balance(steps=5), streak=2, acceptance=((0.1, 1.0),), acceptance_episodes=3, max_episodes=6

@@ -121,6 +121,7 @@ def test_as_published_the_weights_overflow():
     assert np.abs(training.policy.weights).max() > 1e200
 
 
+@pytest.mark.slow
 def test_tuned_it_balances():
     task = dpend.Balance(lam=0.2)
     starts = task.starts(np.random.default_rng(9), 200, RIG)

@@ -409,6 +409,7 @@ def test_under_no_force_the_plant_moves_as_the_stepper_leaves_it() -> None:
     assert not np.array_equal(run.x[-1], run.x[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sample_time", [0.002, 0.0005])
 def test_margins_settle_as_the_sampling_grows_fast(sample_time: float) -> None:
     rig = dpend.rig("gustafsson2016").replace(sample_time=sample_time)

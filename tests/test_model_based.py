@@ -504,6 +504,7 @@ def test_random_forces_keep_to_the_limit_and_the_cart_near_the_middle() -> None:
     assert max(np.abs(run.x[:, 0]).max() for run in runs) < 4.0
 
 
+@pytest.mark.slow
 def test_a_model_is_fitted_on_one_thread_and_the_callers_number_stays() -> None:
     def threads() -> set[int]:
         return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}

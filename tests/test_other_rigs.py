@@ -64,6 +64,7 @@ def test_a_users_own_that_fails_on_the_way_is_left_out_and_the_study_goes_on(
     assert "ZeroDivisionError: no gain left" in printed
 
 
+@pytest.mark.slow
 def test_a_users_own_is_tried_on_the_rig_of_the_study_before_anything_runs(
     mine: str, tmp_path: Path, capsys: Any
 ) -> None:

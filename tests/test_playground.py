@@ -601,6 +601,7 @@ def answered(socket: Any) -> bool:
         return False
 
 
+@pytest.mark.slow
 def test_of_two_hundred_connections_six_are_served_and_the_server_goes_on(local: Any) -> None:
     opened, served = [], 0
     for _ in range(200):

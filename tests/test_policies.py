@@ -105,7 +105,11 @@ def test_a_policy_has_no_force_before_its_first_measurement_and_that_of_the_last
 
 
 @pytest.mark.parametrize(
-    "file", sorted((Path(rl.__file__).parent / "trained").glob("*.npz")), ids=lambda file: file.stem
+    "file",
+    [
+        pytest.param(file, id=file.stem, marks=[pytest.mark.slow] if file.stem == "model-based" else [])
+        for file in sorted((Path(rl.__file__).parent / "trained").glob("*.npz"))
+    ],
 )
 def test_a_shipped_policy_keeps_the_contract_of_controllers(file):
     law = load_policy(file.stem)

@@ -491,6 +491,7 @@ def test_a_job_is_stale_where_its_contender_changed_and_not_where_another_did(na
     assert [each for each, digits in hashes(copied).items() if before[each] != digits] == list(stale)
 
 
+@pytest.mark.slow
 def test_of_the_shipped_policies_a_job_that_names_contenders_depends_on_those_that_they_name(copied, edit):
     words = {"LQR": frozenset({"runs", "LQR"}), "PPO": frozenset({"runs", "PPO swing-up"}), "not said": None}
 

@@ -95,7 +95,13 @@ BUILD: dict[str, Callable[[Any], Any]] = {
     "identify and plan": lambda rig: IdentifyAndPlan(rig),
 }
 SECONDS = 100.0  # enough for a few episodes, and for all but the acceptance tests of tuned Q-learning
-every_learner = pytest.mark.parametrize("build", BUILD.values(), ids=list(BUILD))
+every_learner = pytest.mark.parametrize(
+    "build",
+    [
+        pytest.param(build, id=name, marks=[pytest.mark.slow] if name == "identify and plan" else [])
+        for name, build in BUILD.items()
+    ],
+)
 
 
 @pytest.mark.parametrize("check", LEARNER_CHECKS)

@@ -69,6 +69,7 @@ def test_no_small_change_that_keeps_the_end_costs_less() -> None:
     assert (len(shorter.u), len(longer.u)) == (120, 130)
 
 
+@pytest.mark.slow
 def test_margins_are_kept() -> None:
     found = optimize(RIG, target=np.zeros(6), guess=swing_up(), track_margin=0.9, force_margin=15.0)
     assert np.abs(found.x[:, 0]).max() <= 1.5 + 1e-6
@@ -76,6 +77,7 @@ def test_margins_are_kept() -> None:
     assert found.about["cost"] > swing_up().about["cost"]
 
 
+@pytest.mark.slow
 def test_minimum_time_is_no_longer_than_on_record_and_its_force_at_the_limits() -> None:
     guess = shipped(RIG)
     assert guess is not None
