@@ -11,11 +11,11 @@ PPO and DDPG are those of ``docs/results/deep_swing_up``; PILCO's mark is the ex
 published in 2011.
 
 Finding: on pilco2011 ten of ten seeds swing up, after 7 s of experience (median) knowing the equations but not their
-parameters, 12.5 s [10, 15] knowing their structure, their mirror symmetry and what gravity does when all is turned
-round, 25 s [20, 25] without the latter, 30 s [30, 40] with the structure alone and 37.5 s [25, 45] with the mirror but
-no structure; 90 % of fresh starts in ten, nine, nine, seven and three of ten seeds.  PILCO took 100 to 150 s.  On
-gustafsson2016 the first success comes after 7, 10, 19, 26 and 31 s, and 90 % in ten, nine, eight, seven and eight.
-Knowing nothing, none of twenty trainings succeeds, in 150 s on pilco2011 and in 31 episodes, 80 to 115 s, on
+parameters, 15 s [10, 15] knowing their structure, their mirror symmetry and what gravity does when all is turned round,
+22.5 s [20, 25] without the latter, 35 s [30, 35] with the structure alone and 32.5 s [25, 35] with the mirror but no
+structure; 90 % of fresh starts in ten, ten, nine, seven and eight of ten seeds.  PILCO took 100 to 150 s.  On
+gustafsson2016 the first success comes after 7, 10, 20, 29 and 30 s, and 90 % in ten, ten, nine, six and eight.
+Knowing nothing, none of twenty trainings succeeds, in 150 s on pilco2011 and in 31 episodes, 101 to 129 s, on
 gustafsson2016.  From ``--workers 2 --only "the equations" "structure, mirror, gravity" "structure, mirror" "structure"
 "mirror" "nothing"``, kept in docs/results/price_of_ignorance; "second order" has not been run.
 """
