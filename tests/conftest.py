@@ -1,5 +1,6 @@
 """What all tests share: property tests take the same examples every time, and no clock stops them."""
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -12,3 +13,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("nightly"):
             item.add_marker(pytest.mark.slow)
+
+
+@pytest.fixture(autouse=True)
+def same_numbers(request: pytest.FixtureRequest) -> None:
+    """Have a test draw the same numbers whichever tests ran before it: a module's ``RNG`` begins anew."""
+    if isinstance(rng := getattr(request.module, "RNG", None), np.random.Generator):
+        rng.bit_generator.state = np.random.default_rng(0).bit_generator.state
