@@ -63,10 +63,12 @@ def pool(workers: int, **sent: object) -> Iterator[ProcessPoolExecutor]:
             executor.shutdown()
         except BaseException as error:
             processes = list((executor._processes or {}).values())
-            executor.shutdown(wait=False, cancel_futures=True)
+            broken = isinstance(error, BrokenProcessPool)
+            # The thread of a broken pool ends by itself; Python 3.11 prints a traceback if the program ends before it.
+            executor.shutdown(wait=broken, cancel_futures=True)
             for process in processes:
                 process.terminate()
-            if not isinstance(error, BrokenProcessPool):
+            if not broken:
                 raise
             raise RuntimeError(
                 "A worker process ended before its work was done. Workers import the script that runs: keep what it "
