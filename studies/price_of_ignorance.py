@@ -230,8 +230,10 @@ def report(table: Table) -> Report:
             for kind, middle in _drawn(axis, k, own, _MILESTONES).items():
                 line |= {f"{kind}, s": middle, f"{kind}: trainings": int(np.sum(own[kind].notna())),
                          f"{kind}, CPU s": median(own[f"{kind}_cpu"].dropna())}  # fmt: skip
-            line["failed after the first"] = int(np.sum(own["failed"]))
-            line |= {"fresh starts": int(np.sum(own["tried"])), "ended at the track": int(np.sum(own["track_ends"])),
+            whole = own["experience"] * own["first_cpu"] / own["first"]
+            line |= {"whole training, CPU s, at most": float(np.max(whole)),
+                     "failed after the first": int(np.sum(own["failed"])), "fresh starts": int(np.sum(own["tried"])),
+                     "ended at the track": int(np.sum(own["track_ends"])),
                      "PILCO's cost": median(own["pilco_cost"].dropna())}  # fmt: skip
             line |= {"p99 of a step, ms": median(1e3 * own["step_p99"].dropna()),
                      "first step, ms": median(1e3 * own["first_step"].dropna())}  # fmt: skip
