@@ -103,7 +103,7 @@ class LowPass(Wrapper):
         If ``controller`` is none.
     ValueError
         If the rig describes several plants, neither or both of frequency and time constant are given, or one is not
-        greater than zero and finite.
+        greater than zero and finite, or lets nothing pass.
 
     See Also
     --------
@@ -134,6 +134,11 @@ class LowPass(Wrapper):
         else:
             self.time_constant = 1 / (2 * math.pi * checked_positive("frequency", frequency, "Hz"))
         self._decay = math.exp(-self.rig.sample_time / self.time_constant)
+        if self._decay == 1.0:
+            raise ValueError(
+                f"Nothing passes a filter with a time constant of {self.time_constant:.3g} s, at samples of "
+                f"{self.rig.sample_time:g} s: expected a shorter one, or a higher frequency."
+            )
         self.delay = self.rig.sample_time * self._decay / (1 - self._decay)
         super().__init__(controller, f"{{}}, low-pass {1 / (2 * math.pi * self.time_constant):.3g} Hz")
 

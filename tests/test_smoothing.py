@@ -192,6 +192,11 @@ def test_one_run_at_a_time_stays_one_at_a_time_and_its_log_is_kept() -> None:
             "frequency must be finite and greater than 0 Hz; got nan.",
         ),
         (
+            lambda: LowPass(RIG, LQR(RIG), time_constant=1e16),
+            "Nothing passes a filter with a time constant of 1e+16 s, at samples of 0.02 s: expected a shorter one, or "
+            "a higher frequency.",
+        ),
+        (
             lambda: RateLimit(RIG.replace(mass1=[0.5, 0.6]), LQR(RIG), 1.0),
             "RateLimit takes one plant; got a rig of 2 rows. Take one of them with rig.rows(i).",
         ),
