@@ -117,7 +117,7 @@ sample = make_sample(rates)
 """The scalar step of the plant."""
 
 
-_BLOCK = 256
+_BLOCK = 64
 _FIELDS = len(Coefficients._fields)
 _WIDTH = 9 + _FIELDS
 
@@ -149,24 +149,43 @@ def _forces_at(block, j):
     return block[6 * _BLOCK + j], block[7 * _BLOCK + j], block[8 * _BLOCK + j]
 
 
+# Rows of states end to end, ``(6 n,)``: so written, LLVM moves them between rows and columns by whole vectors.
+@inline
+def _flat_row(flat, i):
+    return flat[6 * i], flat[6 * i + 1], flat[6 * i + 2], flat[6 * i + 3], flat[6 * i + 4], flat[6 * i + 5]
+
+
+@inline
+def _set_flat_row(flat, i, x):
+    flat[6 * i] = x[0]
+    flat[6 * i + 1] = x[1]
+    flat[6 * i + 2] = x[2]
+    flat[6 * i + 3] = x[3]
+    flat[6 * i + 4] = x[4]
+    flat[6 * i + 5] = x[5]
+
+
 @compiled
 def plant_step(x, f, coefficients, h, substeps):
     r"""Advance states in place by ``substeps`` Runge-Kutta steps of :math:`\dot x = \mathrm{rates}(x, f, c)`.
 
-    ``x`` are states ``(n, 6)``, C-contiguous; ``f`` the generalised forces ``(n, 3)``, held; ``coefficients`` rows of
-    :class:`~dpend.params.Coefficients`, ``(1, 15)`` for all or ``(n, 15)``, one each; ``h`` the length of a step, s.
+    ``x`` are states ``(n, 6)``, C-contiguous; ``f`` the generalised forces ``(3, n)``, held; ``coefficients`` columns
+    of :class:`~dpend.params.Coefficients`, ``(15, 1)`` for all or ``(15, n)``, one each; ``h`` the length of a step, s.
     """
     n = x.shape[0]
-    shared = coefficients.shape[0] == 1
-    c = Coefficients(*to_fixed_tuple(coefficients[0], _FIELDS))  # pyright: ignore[reportCallIssue]
+    flat = x.reshape(-1)
+    shared = coefficients.shape[1] == 1
+    c = Coefficients(*to_fixed_tuple(coefficients[:, 0], _FIELDS))  # pyright: ignore[reportCallIssue]
     block = np.empty(_WIDTH * _BLOCK)
     for start in range(0, n, _BLOCK):
         m = min(_BLOCK, n - start)
+        rows = flat[6 * start : 6 * (start + m)]
         for j in range(m):
-            for k in range(6):
-                block[k * _BLOCK + j] = x[start + j, k]
-            for k in range(3):
-                block[(6 + k) * _BLOCK + j] = f[start + j, k]
+            _set_state(block, j, _flat_row(rows, j))
+        for j in range(m):
+            block[6 * _BLOCK + j] = f[0, start + j]
+            block[7 * _BLOCK + j] = f[1, start + j]
+            block[8 * _BLOCK + j] = f[2, start + j]
         if shared and c.coulomb == 0.0:
             for _ in range(substeps):
                 for j in range(m):
@@ -176,9 +195,9 @@ def plant_step(x, f, coefficients, h, substeps):
                 for j in range(m):
                     _set_state(block, j, rk4(_state_at(block, j), _forces_at(block, j), c, h))
         else:
-            for j in range(m):
-                for k in range(_FIELDS):
-                    block[(9 + k) * _BLOCK + j] = coefficients[start + j, k]
+            for k in range(_FIELDS):
+                for j in range(m):
+                    block[(9 + k) * _BLOCK + j] = coefficients[k, start + j]
             for _ in range(substeps):
                 for j in range(m):
                     own = Coefficients(
@@ -200,8 +219,7 @@ def plant_step(x, f, coefficients, h, substeps):
                     )
                     _set_state(block, j, rk4(_state_at(block, j), _forces_at(block, j), own, h))
         for j in range(m):
-            for k in range(6):
-                x[start + j, k] = block[k * _BLOCK + j]
+            _set_flat_row(rows, j, _state_at(block, j))
 
 
 wrap_angle = inline(state.wrap_angle)
@@ -224,12 +242,15 @@ def linear_forces(y, target, K, u):
 
     The terms are added up in order, so that a row has the same force in every batch.
     """
+    flat = y.ravel()
     for i in range(len(u)):
-        total = K[0] * (y[i, 0] - target[0])
-        total += K[1] * wrap_angle(y[i, 1] - target[1])
-        total += K[2] * wrap_angle(y[i, 2] - target[2])
-        for d in range(3, 6):
-            total += K[d] * (y[i, d] - target[d])
+        pos, th1, th2, vel, om1, om2 = _flat_row(flat, i)
+        total = K[0] * (pos - target[0])
+        total += K[1] * wrap_angle(th1 - target[1])
+        total += K[2] * wrap_angle(th2 - target[2])
+        total += K[3] * (vel - target[3])
+        total += K[4] * (om1 - target[4])
+        total += K[5] * (om2 - target[5])
         u[i] = -total
 
 

@@ -148,9 +148,9 @@ class Stepper:
         self.force = np.zeros(n)
         self._plant_step = plant_step
         self._substep = rig.sample_time / rig.substeps
-        columns = np.broadcast_arrays(*(np.atleast_1d(field) for field in rig.params.coefficients()))
-        self._coefficients = np.ascontiguousarray(np.stack(columns, axis=-1), dtype=np.float64)
-        self._generalised = np.zeros((n, 3))
+        fields = np.broadcast_arrays(*(np.atleast_1d(field) for field in rig.params.coefficients()))
+        self._coefficients = np.stack(fields).astype(np.float64)
+        self._generalised = np.zeros((3, n))
 
         rows = range(first_row, first_row + n)
         self._limited = bool(np.any(np.isfinite(rig.force_limit)))
@@ -268,13 +268,13 @@ class Stepper:
             command = command + rig.force_noise * self._force_noise.draw()[:, 0]
         self.force = command
         if push is None:
-            self._generalised[:, 0] = command
+            self._generalised[0] = command
         else:
-            self._generalised[:] = checked_push(push, self.n)
-            self._generalised[:, 0] += command
+            self._generalised.T[:] = checked_push(push, self.n)
+            self._generalised[0] += command
         self._plant_step(self.x, self._generalised, self._coefficients, self._substep, rig.substeps)
         if push is not None:
-            self._generalised[:, 1:] = 0.0
+            self._generalised[1:] = 0.0
         reading = self._measured(self.x.copy(), _ALL)
         return reading if self._readings is None else self._readings.pass_on(reading)
 

@@ -369,7 +369,7 @@ def test_numpy_numba_and_casadi_take_the_same_runge_kutta_step(params: Params, x
     expected = _numpy_rk4(x, f, c, 0.01)
     close(kernels.rk4(tuple(x), tuple(f), c, 0.01), expected)
     batch = x[None].copy()
-    kernels.plant_step(batch, f[None], np.array([c]), 0.01, 1)
+    kernels.plant_step(batch, f[:, None], np.array([c]).T, 0.01, 1)
     close(batch[0], expected)
     rig = endless(params=params, sample_time=0.03, substeps=3)
     sample: Any = tuple(x)
@@ -384,8 +384,8 @@ def test_the_batched_and_the_scalar_kernel_take_the_same_sample() -> None:
     params = random_params(rng, n)
     x, f = random_states(rng, n), random_forces(rng, n)
     each, shared = x.copy(), x.copy()
-    kernels.plant_step(each, f, np.stack(params.coefficients(), axis=-1), 0.005, 3)
-    kernels.plant_step(shared, f, np.array([row(params, 0).coefficients()]), 0.005, 3)
+    kernels.plant_step(each, f.T, np.stack(params.coefficients()), 0.005, 3)
+    kernels.plant_step(shared, f.T, np.array([row(params, 0).coefficients()]).T, 0.005, 3)
 
     @numba.njit
     def sample(x, f, c):
@@ -437,11 +437,11 @@ def test_sine_and_cosine_of_what_is_no_angle_are_nan() -> None:
 
 def test_without_coulomb_friction_a_step_has_the_same_bits_as_where_each_row_might_have_some() -> None:
     rng = np.random.default_rng(12)
-    c = np.array([random_params(rng).coefficients()._replace(coulomb=0.0)], dtype=float)
+    c = np.array([random_params(rng).coefficients()._replace(coulomb=0.0)], dtype=float).T
     x, f = random_states(rng, 300), random_forces(rng, 300)
     shared, own = x.copy(), x.copy()
-    kernels.plant_step(shared, f, c, 0.01, 3)
-    kernels.plant_step(own, f, np.repeat(c, 300, axis=0), 0.01, 3)
+    kernels.plant_step(shared, f.T, c, 0.01, 3)
+    kernels.plant_step(own, f.T, np.repeat(c, 300, axis=1), 0.01, 3)
     np.testing.assert_array_equal(shared, own)
 
 
@@ -450,9 +450,9 @@ def test_a_state_that_is_nan_stays_nan_and_leaves_its_neighbours_alone(own: bool
     rng = np.random.default_rng(10)
     n = 40
     params = random_params(rng, n if own else None)
-    coefficients = np.stack(np.atleast_1d(*params.coefficients()), axis=-1)
+    coefficients = np.stack(np.atleast_1d(*params.coefficients()))
     clean = random_states(rng, n)
-    f = np.zeros((n, 3))
+    f = np.zeros((3, n))
     for column in range(1, 6):
         x = clean.copy()
         x[13, column] = np.nan
