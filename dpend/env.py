@@ -60,6 +60,7 @@ class RigEnvironment:
             scales = observation_scales(single_rig(self.rig, 'observation="scaled"')) if scaled else np.ones(4)
             self._observe = partial(observe, scales=scales)
         self._reward = reward_of(reward, self.task, self.rig)
+        self._reward_looks_back = callable(reward)  # at the states before the step, at which no reward of a name looks
         modes = self.metadata["render_modes"]
         if render_mode is not None and not (isinstance(render_mode, str) and render_mode in modes):
             raise ValueError(f"render_mode must be None or one of {', '.join(map(repr, modes))}; got {render_mode!r}.")
@@ -244,7 +245,7 @@ class CartDoublePendulumEnv(RigEnvironment, gym.Env[Array, Any]):  # pyright: ig
             raise ResetNeeded("There is no episode yet: call reset() before step().")
         if self._over is not None:
             raise ResetNeeded(f"The episode is over: {self._over} Call reset() before the next step().")
-        before = stepper.x.copy()
+        before = stepper.x.copy() if self._reward_looks_back else stepper.x
         y = stepper.step([self._force(action)])
         x = stepper.x
         codes = self.task.ended(x, self.rig)

@@ -162,6 +162,6 @@ class UprightClock:
             self.samples += 1
             self.samples[~self._upright(x)] = -1
 
-    def success(self, codes: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
-        """Return which runs of full length succeeded, by their status codes ``(n,)``."""
-        return succeeded(codes, self.samples, self._hold)
+    def success(self, codes: npt.NDArray[np.uint8], rows: Any = slice(None)) -> npt.NDArray[np.bool_]:
+        """Return which runs of full length, all or some rows, succeeded, by the status codes ``(n,)`` of all."""
+        return succeeded(codes[rows], self.samples[rows], self._hold)

@@ -211,7 +211,7 @@ class CartDoublePendulumVectorEnv(  # pyright: ignore[reportIncompatibleVariable
                 f"{len(self._over)} episodes are over, the first in copy {self._over[0]}: call "
                 'reset(options={"reset_mask": terminated | truncated}) before the next step().'
             )
-        before = stepper.x.copy()
+        before = stepper.x.copy() if self._reward_looks_back else stepper.x
         y = stepper.step(self._commands(actions))
         codes = self.task.ended(stepper.x, self.rig)
         rewards = self._paid(before, stepper, codes).copy()
@@ -225,7 +225,8 @@ class CartDoublePendulumVectorEnv(  # pyright: ignore[reportIncompatibleVariable
         self._over = over = self._over_ahead[:count].copy()
         infos: dict[str, Any] = {}
         if len(over):
-            success = truncated & self._upright.success(codes)
+            success = np.zeros(self.num_envs, dtype=np.bool_)
+            success[over] = truncated[over] & self._upright.success(codes, over)
             done = terminated | truncated
             ends = {"status": codes, "_status": done, "success": success, "_success": done.copy()}
             if self._mode is AutoresetMode.SAME_STEP:
