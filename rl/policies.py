@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,9 @@ from dpend.suggest import suggestion
 
 from .features import TABLE1, make_value_features, slope_features
 from .settings import one_of
+
+if TYPE_CHECKING:
+    from .model_based import ModelPolicy
 
 Arrays = Sequence[ArrayLike]
 About = Mapping[str, Any] | None
@@ -463,7 +466,7 @@ class MLPPolicy(Saved):
         return cls(net, scales=scales, force_limit=float(force_limit), period=float(period), about=about)
 
 
-Policy = LinearQPolicy | GainPolicy | TableOneMean | MLPPolicy | Network
+Policy: TypeAlias = "LinearQPolicy | GainPolicy | TableOneMean | MLPPolicy | Network | ModelPolicy"
 
 
 def load_policy(policy: str | Path) -> Policy:
@@ -478,7 +481,7 @@ def load_policy(policy: str | Path) -> Policy:
 
     Returns
     -------
-    LinearQPolicy, GainPolicy, MLPPolicy, Network or ModelPolicy
+    LinearQPolicy, GainPolicy, TableOneMean, MLPPolicy, Network or ModelPolicy
         As it was saved.
 
     Raises
