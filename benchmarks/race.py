@@ -124,7 +124,10 @@ def pin_to_one_core() -> None:
 
 
 def processor() -> str:
-    """Return the name of the processor and the width of its vectors, as far as the system tells."""
+    """Return the name of the processor and the width of its vectors, as far as the system tells.
+
+    Where numba compiles for another, which its ``NUMBA_CPU_NAME`` says, that one is named too.
+    """
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -132,7 +135,8 @@ def processor() -> str:
     entries = {name.strip(): value.strip() for name, _, value in (line.partition(":") for line in lines)}
     flags = entries.get("flags", "").split()
     width = 512 if "avx512f" in flags else 256 if "avx2" in flags else 128
-    return f"{entries.get('model name', platform.machine())}, {width}-bit vectors"
+    code = f", code for {other}" if (other := os.environ.get("NUMBA_CPU_NAME")) else ""
+    return f"{entries.get('model name', platform.machine())}, {width}-bit vectors{code}"
 
 
 def versions(*packages: str) -> str:
