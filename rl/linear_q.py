@@ -40,13 +40,7 @@ REPORT_FORCES = (0.0, 5.0, -5.0, 10.0, -10.0, 20.0, -20.0, 40.0, -40.0)
 """The report's action set, N."""
 
 Weights = Annotated[Sequence[float], numbers(f"{len(TABLE1)} finite numbers", len(TABLE1))]
-Forces = Annotated[
-    Sequence[float],
-    must(
-        "a list of finite numbers",
-        lambda forces: not isinstance(forces, bytes) and len(forces) > 0 and all(map(is_finite, forces)),
-    ),
-]
+Forces = Annotated[Sequence[float], numbers("a list of finite numbers")]
 Acceptance = Annotated[
     Sequence[tuple[float, float]],
     must(

@@ -6,7 +6,7 @@ Annotations are evaluated apart from their module, so that a lambda in one sees 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
@@ -52,9 +52,15 @@ def known(names: Iterable[str]) -> Rule:
     return checked
 
 
-def numbers(be: str, n: int, good: Callable[[float], bool] = math.isfinite) -> Rule:
-    """Return the rule that a setting must be ``n`` finite numbers, each of them good."""
-    return must(be, lambda values: len(values) == n and all(is_finite(value) and good(value) for value in values))
+def numbers(be: str, n: int | None = None, good: Callable[[float], bool] = math.isfinite) -> Rule:
+    """Return the rule that a setting must list finite numbers, ``n`` or at least one, each of them good."""
+
+    def listed(values: Any) -> bool:
+        long_enough = len(values) > 0 if n is None else len(values) == n
+        ordered = not isinstance(values, Set | Mapping | bytes)
+        return long_enough and ordered and all(is_finite(value) and good(value) for value in values)
+
+    return must(be, listed)
 
 
 def instance_of(kind: type) -> Rule:

@@ -179,6 +179,7 @@ def test_features_of_scale_zero_keep_weight_zero():
         ({"init_std": -1.0}, "init_std must be finite and at least 0; got -1.0."),
         ({"initial": (1.0,)}, "initial must be 18 finite numbers; got (1.0,)."),
         ({"scales": (1.0,)}, "scales must be 18 finite numbers; got (1.0,)."),
+        ({"forces": {1.0, 2.0}}, "forces must be a list of finite numbers; got {1.0, 2.0}."),
         ({"forces": (50.0,)}, "forces must be a list of forces within the rig's limit of 40 N; got (50.0,)."),
         (
             {"rig": RIG.replace(sensor_noise=0.1)},
