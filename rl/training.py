@@ -310,7 +310,7 @@ def samples_within(seconds: float | None, sample_time: float) -> int:
 
 
 def _checked_seed(seed: Seed) -> int | list[int]:
-    if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes):
+    if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes) and getattr(seed, "ndim", 1):
         return [checked_seed("seed", each) for each in seed]
     return checked_seed("seed", seed)
 

@@ -133,6 +133,12 @@ def test_a_budget_that_is_no_time_is_refused(seconds):
         samples_within(seconds, 0.02)
 
 
+@pytest.mark.parametrize("seed", [-1, 1.0, "1", None, np.array(1.0), [1, -1]])
+def test_a_seed_that_is_no_whole_number_or_several_is_refused(seed):
+    with pytest.raises(ValueError, match=r"^seed must be a whole number, at least 0; got "):
+        LSPI(RIG).train(seed, seconds=SECONDS)
+
+
 @every_learner
 def test_a_number_among_the_settings_is_no_nan_no_word_and_none_only_where_it_may_be_left_out(build):
     learner = build(RIG)
