@@ -185,8 +185,9 @@ def test_a_function_is_paid_out_with_what_went_before_what_acted_and_what_came()
     assert_array_equal(x_next, envs.state)
     assert codes.tolist() == [0, 0]
     env = balance(reward=reward)
-    env.reset()
+    env.reset(options={"x0": [0, 0.1, 0, 0, 0, 0]})
     assert env.step(np.zeros(1))[1] == 10.0
+    assert_array_equal(seen[1][0], [[0, 0.1, 0, 0, 0, 0]])
 
 
 @pytest.mark.parametrize(
