@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dpend.arguments import checked_positive
+from dpend.arguments import checked_positive, is_finite
 from dpend.controller import Act, Controller, Law
 from dpend.deprecation import renamed_arguments
 from dpend.params import Array
@@ -157,6 +157,11 @@ class LowPass(Wrapper):
         complex
             Its size is the gain, its angle the phase, negative where the force is late.
 
+        Raises
+        ------
+        ValueError
+            If the frequency is no finite number.
+
         See Also
         --------
         controllers.LQR.margins : What phase and delay the loop bears.
@@ -169,6 +174,8 @@ class LowPass(Wrapper):
         >>> round(abs(LowPass(rig, LQR(rig), frequency=4.0).response(4.0)), 1)
         0.7
         """
+        if not is_finite(frequency):
+            raise ValueError(f"frequency must be a finite number, in Hz; got {frequency!r}.")
         return (1 - self._decay) / (1 - self._decay * cmath.exp(-2j * math.pi * frequency * self.rig.sample_time))
 
     def _around(self, n: int, inner: Act) -> Act:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from dpend.arguments import checked_positive, is_finite
+from dpend.arguments import checked_generator, checked_positive, checked_seed, checked_whole, is_finite
 from dpend.controller import Act, Controller, Law, as_controller, is_batched, name_of
 from dpend.deprecation import renamed_arguments
 from dpend.laws import holding, log_of, with_logs
@@ -16,7 +16,7 @@ from dpend.params import Array
 from dpend.plant import energies
 from dpend.rig import Rig, as_rig, ideal_rig, single_rig
 from dpend.rows import row_generators
-from dpend.state import as_equilibrium, deviation
+from dpend.state import as_equilibrium, deviation, state_rows
 from dpend.stepper import Stepper
 
 from .lqr import LQR
@@ -62,15 +62,13 @@ class Ellipsoid:
     """
 
     def __init__(self, lqr: LQR, level: float) -> None:
-        if not isinstance(lqr, LQR):
-            raise TypeError(f"Ellipsoid takes an LQR; got {lqr!r}.")
-        self.lqr = lqr
+        self.lqr = _checked_lqr(lqr)
         self.level = checked_positive("level", level)
 
     def __repr__(self) -> str:
         return f"<region x'Px <= {self.level:.4g}>"
 
-    def __call__(self, x: Array) -> npt.NDArray[np.bool_]:
+    def __call__(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Return which states ``(n, 6)`` lie inside."""
         return self.cost(x) <= self.level
 
@@ -89,6 +87,11 @@ class Ellipsoid:
         ndarray (n,)
             Costs, in the units of LQR's.
 
+        Raises
+        ------
+        ValueError
+            If the states are not of that shape.
+
         See Also
         --------
         controllers.Ellipsoid.boundary : Where it is the level.
@@ -101,7 +104,7 @@ class Ellipsoid:
         >>> Ellipsoid(LQR(rig), 100.0).cost([[0, 0, 0, 0, 0, 0]])
         array([0.])
         """
-        from_target = deviation(x, self.lqr.target)
+        from_target = deviation(_rows(x), self.lqr.target)
         return np.einsum("ni,ij,nj->n", from_target, self.lqr.P, from_target)
 
     def boundary(self, n: int, rng: np.random.Generator) -> Array:
@@ -121,6 +124,11 @@ class Ellipsoid:
         ndarray (n, 6)
             The states.
 
+        Raises
+        ------
+        TypeError, ValueError
+            If there is no such number, or no generator.
+
         See Also
         --------
         controllers.Ellipsoid.calibrated : Try them.
@@ -135,7 +143,7 @@ class Ellipsoid:
         >>> region.cost(region.boundary(2, np.random.default_rng(0))).round(6)
         array([100., 100.])
         """
-        sphere = rng.standard_normal((n, 6))
+        sphere = checked_generator("rng", rng).standard_normal((checked_whole("n", n), 6))
         sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
         half = np.linalg.cholesky(np.linalg.inv(self.lqr.P))
         return self.lqr.target + math.sqrt(self.level) * sphere @ half.T
@@ -155,10 +163,12 @@ class Ellipsoid:
 
         Raises
         ------
+        TypeError
+            If ``lqr`` is none.
         ValueError
             If the rig has neither limit.
         """
-        inverse = np.linalg.inv(lqr.P)
+        inverse = np.linalg.inv(_checked_lqr(lqr).P)
         force = float(lqr.rig.force_limit) ** 2 / float((lqr.K @ inverse @ lqr.K.T)[0, 0])
         track = max(float(lqr.rig.track_limit) - abs(float(lqr.target[0])), 1e-9) ** 2 / float(inverse[0, 0])
         if not math.isfinite(min(force, track)):
@@ -186,9 +196,12 @@ class Ellipsoid:
 
         Raises
         ------
+        TypeError
+            If ``lqr`` is none.
         ValueError
-            If even a very small ellipsoid loses a start.
+            If another argument is wrong, or even a very small ellipsoid loses a start.
         """
+        lqr, seed = _checked_lqr(lqr), checked_seed("seed", seed)
         rests = RolloutRegion(lqr.rig, lqr, target=lqr.target, duration=duration)
 
         def all_rest(level: float) -> bool:
@@ -207,6 +220,19 @@ class Ellipsoid:
             middle = math.sqrt(low * high)
             low, high = (middle, high) if all_rest(middle) else (low, middle)
         return cls(lqr, low)
+
+
+def _rows(x: npt.ArrayLike) -> Array:
+    states = state_rows("x", x)
+    if states.ndim != 2:
+        raise ValueError(f"Expected states (n, 6); got shape {states.shape}.")
+    return states
+
+
+def _checked_lqr(lqr: object) -> LQR:
+    if not isinstance(lqr, LQR):
+        raise TypeError(f"Ellipsoid takes an LQR; got {lqr!r}.")
+    return lqr
 
 
 @renamed_arguments(about="target", law="controller")
@@ -277,8 +303,9 @@ class RolloutRegion:
     def __repr__(self) -> str:
         return f"<region from which {name_of(self.controller)} comes to rest in {self.duration:.3g} s>"
 
-    def __call__(self, x: Array) -> npt.NDArray[np.bool_]:
+    def __call__(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Return from which states ``(n, 6)`` the law comes to rest."""
+        x = _rows(x)
         rests = np.zeros(len(x), dtype=np.bool_)
         rows = np.flatnonzero(~self.fallen(x) & (np.abs(x[:, 0]) <= self.rig.track_limit))
         if not len(rows):
@@ -382,8 +409,9 @@ class NearEnergy:
     def __repr__(self) -> str:
         return f"<region |E - Er| <= {self.tolerance:g} Er>"
 
-    def __call__(self, x: Array) -> npt.NDArray[np.bool_]:
+    def __call__(self, x: npt.ArrayLike) -> npt.NDArray[np.bool_]:
         """Return which states ``(n, 6)`` lie inside."""
+        x = _rows(x)
         near = np.abs(energies(x, self.rig.params).total - self.energy) <= self.tolerance * self.energy
         return near & (np.abs(x[:, 0]) <= self.track_share * self.rig.track_limit)
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from .arguments import checked_positive
+from .arguments import checked_array, checked_positive
 from .params import Array
 
 UNITS: Mapping[str, str] = {
@@ -70,11 +70,14 @@ def force_metrics(
 
     Raises
     ------
-    ValueError
-        If the signals are not of that shape.
+    TypeError, ValueError
+        If the signals are not of that shape, or another argument is no such number.
     """
-    u, limit, scale = _checked(u, force_limit)
-    least = limit * (1 - 1e-12) - NOISE_WIDTH * np.broadcast_to(force_noise, len(u))
+    u, limit, scale = _checked(u, sample_time, force_limit)
+    noise = _one_each("force_noise", force_noise, len(u))
+    if not (noise >= 0).all():
+        raise ValueError(f"force_noise must be at least 0 N; got {force_noise!r}.")
+    least = limit * (1 - 1e-12) - NOISE_WIDTH * noise
     measured = {name: np.zeros(len(u)) for name in _OF_FORCE}
     for rows in _blocks(len(u)):
         running = np.isfinite(u[rows])
@@ -122,8 +125,8 @@ def smoothness_metrics(
 
     Raises
     ------
-    ValueError
-        If the signals are not of that shape, or a time or frequency is not greater than zero.
+    TypeError, ValueError
+        If the signals are not of that shape, or another argument is no such number.
 
     Notes
     -----
@@ -136,12 +139,9 @@ def smoothness_metrics(
     Learning*, 2021, with amplitudes and frequencies as their program spaces them (:math:`2 f_i/f_s` from 0 to 1 in
     equal steps) and the whole run as one window; ``std_step``: the smoothness of RealAIGym's double pendulum.
     """
-    for name, value, unit in (("lag", lag, "s"), ("cutoff", cutoff, "Hz"), ("sample_time", sample_time, "s")):
-        checked_positive(name, value, unit)
-    u, _, scale = _checked(u, force_limit)
-    highest = _LINES / (max(u.shape[1], 1) * sample_time)
-    if cutoff > highest:
-        raise ValueError(f"cutoff must be at most {highest:g} Hz for {u.shape[1]} samples; got {cutoff:g} Hz.")
+    checked_positive("lag", lag, "s")
+    u, _, scale = _checked(u, sample_time, force_limit)
+    _check_frequency("cutoff", cutoff, u, sample_time)
     steps = np.isfinite(u).sum(axis=1)
     measured = {name: np.zeros(len(u)) for name in _OF_SMOOTHNESS}
     for n in np.unique(steps[steps > 0]):  # rows of one length share their lines
@@ -182,8 +182,8 @@ def power_spectrum(
 
     Raises
     ------
-    ValueError
-        If the signals are not of that shape, or not of one length.
+    TypeError, ValueError
+        If the signals are not of that shape or not of one length, or another argument is no such number.
 
     Notes
     -----
@@ -192,22 +192,44 @@ def power_spectrum(
     :math:`c_k = \frac1n\,\mathrm{sinc}\frac{k}{2n}\,\sum_j u_j\cos\frac{\pi k(2j + 1)}{2n}` for the staircase, and
     :math:`\frac1T\int u^2 dt = c_0^2 + 2\sum_k c_k^2`; line :math:`k` lies at :math:`k/2T`.
     """
-    u, _, scale = _checked(u, force_limit)
-    if not np.isfinite(u).all():
-        raise ValueError("Expected force signals of one length without NaN; take runs that lasted equally long.")
+    u, _, scale = _checked(u, sample_time, force_limit)
+    if not (u.shape[1] and np.isfinite(u).all()):
+        raise ValueError(
+            "Expected force signals of one length, at least a sample, without NaN; take runs that lasted equally long."
+        )
+    if highest is not None:
+        _check_frequency("highest", highest, u, sample_time)
     seconds = u.shape[1] * sample_time
     lines = np.arange(1, _lines_up_to(0.5 / sample_time if highest is None else highest, seconds) + 1)
     amplitudes = _amplitudes(u, lines) / scale[:, None]
     return lines / (2 * seconds), 4 * seconds * amplitudes**2
 
 
-def _checked(u: npt.ArrayLike, force_limit: float | Array) -> tuple[Array, Array, Array]:
-    """Return signals, limits and units of force, one a row."""
-    u = np.asarray(u, dtype=np.float64)
+def _checked(u: npt.ArrayLike, sample_time: float, force_limit: float | Array) -> tuple[Array, Array, Array]:
+    """Return signals, limits and units of force, one a row; refuse what is none, or no time of a sample."""
+    checked_positive("sample_time", sample_time, "s")
+    u = checked_array("u", u, "force signals (N, T), N", finite=False)
     if u.ndim != 2:
         raise ValueError(f"Expected force signals of shape (N, T); got shape {u.shape}.")
-    limit = np.broadcast_to(np.asarray(force_limit, dtype=np.float64), len(u))
+    limit = _one_each("force_limit", force_limit, len(u))
+    if not (limit > 0).all():
+        raise ValueError(f"force_limit must be greater than 0 N, infinite for none; got {force_limit!r}.")
     return u, limit, np.where(np.isfinite(limit), limit, 1.0)
+
+
+def _one_each(name: str, value: npt.ArrayLike, n: int) -> Array:
+    """Return a number, or one a signal, as an array ``(n,)``."""
+    array = checked_array(name, value, "a number, or one a signal, N", finite=False)
+    if array.shape not in ((), (1,), (n,)):
+        raise ValueError(f"{name} must be a number, or one a signal, ({n},); got shape {array.shape}.")
+    return np.broadcast_to(array, n)
+
+
+def _check_frequency(name: str, frequency: float, u: Array, sample_time: float) -> None:
+    """Refuse what is no frequency, or so high that its lines are too many."""
+    highest = _LINES / (max(u.shape[1], 1) * sample_time)
+    if checked_positive(name, frequency, "Hz") > highest:
+        raise ValueError(f"{name} must be at most {highest:g} Hz for {u.shape[1]} samples; got {frequency:g} Hz.")
 
 
 def _blocks(n: int) -> Iterator[slice]:

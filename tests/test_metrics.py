@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from rigs import whole
@@ -225,7 +227,34 @@ def test_the_power_spectrum_sums_up_to_the_variance_of_the_staircase(name: str) 
     assert -1e-12 <= missing <= 2e-3 * u.var() / LIMIT**2 + 1e-12  # what lies above falls with the frequency
 
 
-def test_a_power_spectrum_is_refused_of_runs_of_several_lengths() -> None:
-    message = "Expected force signals of one length without NaN; take runs that lasted equally long."
+@pytest.mark.parametrize("u", [np.array([[1.0, 2.0], [1.0, np.nan]]), np.zeros((2, 0))])
+def test_a_power_spectrum_is_refused_of_runs_of_several_lengths_or_none(u: Array) -> None:
+    message = (
+        "Expected force signals of one length, at least a sample, without NaN; take runs that lasted equally long."
+    )
     with pytest.raises(ValueError, match=whole(message)):
-        power_spectrum(np.array([[1.0, 2.0], [1.0, np.nan]]), 0.02, LIMIT)
+        power_spectrum(u, 0.02, LIMIT)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"u": np.zeros(5)}, "Expected force signals of shape (N, T); got shape (5,)."),
+        ({"sample_time": 0.0}, "sample_time must be finite and greater than 0 s; got 0.0."),
+        ({"force_limit": -1.0}, "force_limit must be greater than 0 N, infinite for none; got -1.0."),
+        ({"force_limit": [1.0, 2.0]}, "force_limit must be a number, or one a signal, (1,); got shape (2,)."),
+    ],
+)
+@pytest.mark.parametrize("measure", [force_metrics, smoothness_metrics, power_spectrum])
+def test_signals_a_sample_and_limits_that_are_none_are_refused(
+    measure: Any, changed: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=whole(message)):
+        measure(**{"u": np.zeros((1, 5)), "sample_time": 0.02, "force_limit": LIMIT} | changed)
+
+
+def test_a_frequency_with_too_many_lines_and_noise_below_zero_are_refused() -> None:
+    with pytest.raises(ValueError, match=whole("highest must be at most 1e+08 Hz for 5 samples; got 1e+12 Hz.")):
+        power_spectrum(np.zeros((1, 5)), 0.02, LIMIT, highest=1e12)
+    with pytest.raises(ValueError, match=whole("force_noise must be at least 0 N; got -1.0.")):
+        force_metrics(np.zeros((1, 5)), 0.02, LIMIT, force_noise=-1.0)

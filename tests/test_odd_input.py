@@ -47,6 +47,7 @@ from controllers import (
     tuned_weights,
     violations,
 )
+from dpend.metrics import force_metrics, power_spectrum, smoothness_metrics
 from dpend.state import as_equilibrium, as_states, deviation
 from rl import (
     LSPI,
@@ -72,6 +73,7 @@ RIG = dpend.rig("gustafsson2016")
 PLANT = RIG.params
 REST = np.zeros(6)
 LEANING = np.array([0.0, 0.05, -0.05, 0.0, 0.0, 0.0])
+FORCES = np.ones((2, 20))
 QUICK: dict[str, Any] = {"iterations": 1, "starts": 0}
 AVERSE: Any = {"starts": -1}  # refused after the others, before anything is planned
 RUN = dpend.simulate(RIG.replace(sensor_noise=0.01), LQR(RIG), LEANING, 1.0)
@@ -142,6 +144,14 @@ SURFACES: dict[str, list[Call]] = {
         lambda v: dpend.Stepper(RIG, 1).reset(v),
         lambda v: dpend.Stepper(RIG, 1).step(v),
         lambda v: dpend.Stepper(RIG, 1).step([0.0], v),
+        lambda v: force_metrics(v, 0.02, 40.0),
+        lambda v: force_metrics(FORCES, v, 40.0),
+        lambda v: force_metrics(FORCES, 0.02, v),
+        lambda v: force_metrics(FORCES, 0.02, 40.0, force_noise=v),
+        lambda v: power_spectrum(v, 0.02, 40.0),
+        lambda v: power_spectrum(FORCES, v, 40.0),
+        lambda v: power_spectrum(FORCES, 0.02, 40.0, highest=v),
+        lambda v: smoothness_metrics(v, 0.02, 40.0),
         lambda v: RUN.smoothness(lag=v),
         lambda v: RUN.smoothness(cutoff=v),
         lambda v: dpend.identify(v, RIG, ["mass1"]),
@@ -164,6 +174,7 @@ SURFACES: dict[str, list[Call]] = {
         lambda v: BangBang(Zero(), v),
         lambda v: LowPass(RIG, v, frequency=5.0),
         lambda v: LowPass(RIG, Zero(), frequency=v),
+        lambda v: LowPass(RIG, Zero(), frequency=5.0).response(v),
         lambda v: RateLimit(RIG, Zero(), v),
         lambda v: EnergySwingUp(RIG, k_x=v),
         lambda v: EnergyPump(RIG, perturbation=v),
@@ -221,6 +232,13 @@ SURFACES: dict[str, list[Call]] = {
         lambda v: NearEnergy(RIG, v),
         lambda v: Ellipsoid(v, 1.0),
         lambda v: Ellipsoid(LQR(RIG), v),
+        lambda v: Ellipsoid.within_limits(v),
+        lambda v: Ellipsoid.calibrated(v),
+        lambda v: Ellipsoid(LQR(RIG), 1.0).cost(v),
+        lambda v: Ellipsoid(LQR(RIG), 1.0).boundary(v, np.random.default_rng(0)),
+        lambda v: Ellipsoid(LQR(RIG), 1.0).boundary(2, v),
+        lambda v: NearEnergy(RIG)(v),
+        lambda v: RolloutRegion(RIG, Zero(), duration=0.1)(v),
     ],
     "tasks": [
         *(

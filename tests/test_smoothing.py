@@ -178,6 +178,11 @@ def test_one_run_at_a_time_stays_one_at_a_time_and_its_log_is_kept() -> None:
     assert runs.controller == "LQR, low-pass 10 Hz, at most 1000 N/s"
 
 
+def test_the_response_to_what_is_no_frequency_is_refused() -> None:
+    with pytest.raises(ValueError, match=whole("frequency must be a finite number, in Hz; got nan.")):
+        LowPass(RIG, LQR(RIG), frequency=5.0).response(np.nan)
+
+
 @pytest.mark.parametrize(
     ("build", "message"),
     [

@@ -169,6 +169,20 @@ def test_pumping_then_catching_where_the_regulator_is_seen_to_hold_arrives_more_
     assert set(runs.log["caught"][runs.success, -1]) == {1.0}
 
 
+def test_regions_take_lists_of_states_and_refuse_what_is_none() -> None:
+    lqr = LQR("gustafsson2016")
+    upright = [[0, 0, 0, 0, 0, 0]]
+    for region in (Ellipsoid(lqr, 1.0), RolloutRegion("gustafsson2016", lqr), NearEnergy("gustafsson2016")):
+        assert region(upright).tolist() == [True]
+        with pytest.raises(ValueError, match=whole("Expected states (n, 6); got shape (6,).")):
+            region(upright[0])
+    for build in (Ellipsoid.calibrated, Ellipsoid.within_limits):
+        with pytest.raises(TypeError, match=whole("Ellipsoid takes an LQR; got 'lqr'.")):
+            build("lqr")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=whole("n must be a whole number, at least 1; got 0.")):
+        Ellipsoid(lqr, 1.0).boundary(0, np.random.default_rng(0))
+
+
 def test_wrong_use_is_refused() -> None:
     with pytest.raises(ValueError, match=whole("level must be finite and greater than 0; got 0.")):
         Ellipsoid(LQR(RIG), 0)
