@@ -86,7 +86,7 @@ class Results(SphinxDirective):
             shown = table(study, self.options.get("table", "")).part(columns, rows or list(names), where)
         except LookupError as wrong:
             raise self.error(str(wrong)) from wrong
-        caption = nodes.paragraph("", f"{shown.note}. " if shown.note else "", classes=["source"])
+        caption = nodes.paragraph("", f"{shown.note.removesuffix('.')}. " if shown.note else "", classes=["source"])
         link = pending_xref("", refdomain="std", reftype="doc", reftarget=f"/results/{study}/tables", refexplicit=True)
         link += nodes.inline("", "All tables")
         caption += [link, nodes.Text(": "), nodes.literal("", f"docs/results/{study}"), nodes.Text(".")]
