@@ -74,6 +74,7 @@ PLANT = RIG.params
 REST = np.zeros(6)
 LEANING = np.array([0.0, 0.05, -0.05, 0.0, 0.0, 0.0])
 FORCES = np.ones((2, 20))
+COMPILED: set[Any] = set()  # calls that have taken long once
 QUICK: dict[str, Any] = {"iterations": 1, "starts": 0}
 AVERSE: Any = {"starts": -1}  # refused after the others, before anything is planned
 RUN = dpend.simulate(RIG.replace(sensor_noise=0.01), LQR(RIG), LEANING, 1.0)
@@ -86,6 +87,17 @@ OF_NETWORK: dict[str, Any] = {"scales": np.ones(4), "force_limit": 40.0, "period
 CLOCK: dict[str, Any] = {"sample_time": 0.02, "force_limit": 40.0, "track_limit": 2.4}
 
 Call = Callable[[Any], object]
+
+
+def reference(*arguments: Any, **settings: Any) -> None:
+    """Ask for a motion, which may be one that cannot be followed: that is no fault of an argument."""
+    try:
+        dpend.reference(*arguments, **settings)
+    except RuntimeError as error:
+        if not str(error).startswith("The reference cannot follow the motion"):
+            raise
+
+
 SURFACES: dict[str, list[Call]] = {
     "plant": [
         lambda v: dpend.rates(v, 0.0, PLANT),
@@ -100,10 +112,10 @@ SURFACES: dict[str, list[Call]] = {
         lambda v: dpend.positions(v, PLANT),
         lambda v: dpend.energies(v, PLANT),
         lambda v: dpend.energies(REST, v),
-        lambda v: dpend.reference(v, REST, [0.0], [0, 0.02]),
-        lambda v: dpend.reference(PLANT, REST, v, [0, 0.02]),
-        lambda v: dpend.reference(PLANT, REST, [0.0], v),
-        lambda v: dpend.reference(PLANT, REST, [0.0], [0, 0.02], rtol=v),
+        lambda v: reference(v, REST, [0.0], [0, 0.02]),
+        lambda v: reference(PLANT, REST, v, [0, 0.02]),
+        lambda v: reference(PLANT, REST, [0.0], v),
+        lambda v: reference(PLANT, REST, [0.0], [0, 0.02], rtol=v),
     ],
     "states": [
         lambda v: as_states(v),
@@ -329,10 +341,12 @@ ODD = st.one_of(
 def judged(call: Call, value: Any) -> None:
     """Hold a call to the promise: an error is raised by a line of this project, not by a library that it calls.
 
-    A call that takes longer may have been the first, which compiles and imports what it needs; it has another try.
+    The first time that a call takes longer it may have compiled and imported what it needs; it has one more try.
     """
-    if seconds(call, value) >= 1.0:
-        assert seconds(call, value) < 1.0
+    if (took := seconds(call, value)) >= 1.0 and call not in COMPILED:
+        COMPILED.add(call)
+        took = seconds(call, value)
+    assert took < 1.0
 
 
 def seconds(call: Call, value: Any) -> float:

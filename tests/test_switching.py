@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -176,9 +178,10 @@ def test_regions_take_lists_of_states_and_refuse_what_is_none() -> None:
         assert region(upright).tolist() == [True]
         with pytest.raises(ValueError, match=whole("Expected states (n, 6); got shape (6,).")):
             region(upright[0])
-    for build in (Ellipsoid.calibrated, Ellipsoid.within_limits):
+    builds: list[Any] = [Ellipsoid.calibrated, Ellipsoid.within_limits]
+    for build in builds:
         with pytest.raises(TypeError, match=whole("Ellipsoid takes an LQR; got 'lqr'.")):
-            build("lqr")  # type: ignore[arg-type]
+            build("lqr")
     with pytest.raises(ValueError, match=whole("n must be a whole number, at least 1; got 0.")):
         Ellipsoid(lqr, 1.0).boundary(0, np.random.default_rng(0))
 
